@@ -6,7 +6,7 @@ import sys
 
 from benchmarks.study import Study, run
 from scoup.base import ScoupError
-from scoup.cli.family import Family
+from scoup.cli import Family
 from scoup.cli.parsing import parse
 
 STUDIES = Family(

@@ -14,8 +14,7 @@ import torch
 from benchmarks.data import data_folder
 from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
-from scoup.view.mcp_server import make_server
-from scoup.view.scene_tools import SceneTools
+from scoup.view import SceneTools, make_server
 from scoup_lab.bench import markdown
 
 Call = Callable[..., Any]

@@ -19,13 +19,10 @@ from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
 from scoup import raster
 from scoup.base import looked_up
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings, Scale
-from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.models import CANONICAL_PHRASES
+from scoup.scene import Camera, Cameras, Gaussians, Regions
+from scoup.uplift import BuildSettings, RegionSums, region_sums
+from scoup.uplift.build_settings import Scale
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene

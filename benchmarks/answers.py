@@ -21,9 +21,9 @@ from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
 from scoup.base import looked_up
-from scoup.models.words import with_everyday
+from scoup.models import with_everyday
 from scoup.query import constants
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.rasterised_scene import Codes

@@ -22,13 +22,11 @@ import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, draw_prototypes
 from benchmarks.real_scenes import ABSENT, FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.boxes import OrientedBox
-from scoup.query.question import encode_texts
-from scoup.query.thing_index import ThingIndex, shares_of, thing_index
-from scoup.query.things import Thing as ThingOfField
-from scoup.query.things import things_of_table
+from scoup.field import NO_THING, ThingTable
+from scoup.models import CANONICAL_PHRASES
+from scoup.query import OrientedBox, ThingIndex, encode_texts, thing_index, things_of_table
+from scoup.query import Thing as ThingOfField
+from scoup.query.thing_index import shares_of
 from scoup_lab.synthetic.art.things import Thing
 from scoup_lab.synthetic.observe import PART_OFFSET, REGION_NOISE, SURROUNDINGS, VIEW_NOISE, noise
 from scoup_lab.synthetic.words import unit

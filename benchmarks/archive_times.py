@@ -20,13 +20,12 @@ from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.processes import SCOUP, run_python
 from benchmarks.study import Record, Study
-from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
+from scoup.archive import Archive
+from scoup.archive.archive import ABOUT, FORMAT, VERSION
 from scoup.archive.kept_scans import MATRIX, vector_bytes
 from scoup.archive.scan_files import Scan, arrays_of, write_scan
 from scoup.archive.search import words_digest
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES, TextEncoder, save_table
 from scoup_lab.bench import markdown
 
 TEXT, SCANS = "teapot", 48

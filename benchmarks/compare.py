@@ -15,7 +15,8 @@ from benchmarks.real_scenes import RealScene
 from benchmarks.scenes import LAYOUTS, field_of, find_layout
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import Instances
-from scoup.query.compare import Change, Comparison, Kind, compare
+from scoup.query import compare
+from scoup.query.compare import Change, Comparison, Kind
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.meshes import Floats

@@ -20,16 +20,14 @@ from benchmarks.real_scenes import FOLDERS, REAL_SCENES, RealScene, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
 from scoup.base import InputError
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import ThingTable
-from scoup.models.words import CANONICAL_PHRASES, with_everyday
-from scoup.query import constants
+from scoup.field import NameTable, ThingTable
+from scoup.models import CANONICAL_PHRASES, with_everyday
+from scoup.query import LanguageField, constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
-from scoup.query.language_field import LanguageField
 from scoup.query.named import best_words, voted_names
 from scoup.query.refine import choose_views
-from scoup.scene.detections import Detections
+from scoup.scene import Detections
 from scoup.uplift.naming import ViewVotes, count_votes, things_in_view, votes_in_view
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.method import MethodSettings

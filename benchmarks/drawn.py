@@ -10,11 +10,9 @@ from torch import Tensor
 
 from benchmarks.answer_scenes import AnswerScene
 from scoup import raster
-from scoup.query import constants
+from scoup.query import Question, constants, select_by_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
-from scoup.query.question import Question
-from scoup.query.votes import select_by_relevancy
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.evaluate.metrics import iou
 

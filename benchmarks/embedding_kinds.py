@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.observe import SWAPPED
 from scoup_lab.synthetic.words import unit

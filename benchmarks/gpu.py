@@ -25,7 +25,7 @@ from benchmarks.gpu_rows import (
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base import InputError
-from scoup.field.relevancy import relevancy
+from scoup.field import relevancy
 from scoup_lab.bench import Task, Workload, markdown, random_workload, time_tasks
 from scoup_lab.bench.report import milliseconds
 from scoup_lab.bench.stages import region_sums_of_a_view, vote_of_a_view

@@ -19,9 +19,9 @@ from torch import Tensor
 
 import scoup
 from scoup import raster
-from scoup.field.relevancy import relevancy
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.language_field import LanguageField
+from scoup.field import relevancy
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query import LanguageField
 from scoup.raster import ViewSums
 from scoup_lab.bench import (
     StageClock,

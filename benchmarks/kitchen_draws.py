@@ -35,11 +35,9 @@ from torch import Tensor
 import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.view_answer import mask_box
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.models import CANONICAL_PHRASES
+from scoup.query import mask_box
+from scoup.scene import LEVELS, Camera, Cameras, Gaussians, RegionMap, Regions
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise

@@ -11,7 +11,7 @@ from typing import Any
 import scoup
 from benchmarks.processes import memory_of
 from benchmarks.study import Record, Study, report
-from scoup.uplift.build_settings import build_settings
+from scoup.uplift import build_settings
 from scoup_lab.bench import (
     StageClock,
     markdown,

@@ -17,8 +17,8 @@ from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
 from scoup.base import spread
 from scoup.extract import choose_photographs, find_photographs
-from scoup.models.words import with_everyday
-from scoup.scene.cameras import Camera, Cameras
+from scoup.models import with_everyday
+from scoup.scene import Camera, Cameras
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.bench import markdown

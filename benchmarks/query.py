@@ -16,9 +16,9 @@ import scoup
 from benchmarks.processes import SCOUP, run_python
 from benchmarks.random_field import random_field, write_words
 from benchmarks.study import Record, Study
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query import LanguageField
+from scoup.scene import Cameras
 from scoup_lab.bench import Stopwatch, markdown, random_scene_cameras, random_scene_gaussians, torch_threads
 from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH, clip_like
 

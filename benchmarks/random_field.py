@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scoup.field.field_info import FieldInfo
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.field import FieldInfo
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, save_table
+from scoup.query import LanguageField
+from scoup.scene import Cameras, Gaussians
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 
 LEVELS = ("s", "m", "l")

@@ -11,10 +11,8 @@ import torch
 from torch import Tensor
 
 import scoup
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
+from scoup.models import CANONICAL_PHRASES
+from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
 
 FOLDERS = {

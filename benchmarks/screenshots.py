@@ -18,8 +18,7 @@ from PIL import Image
 
 import scoup
 from benchmarks.chromium import chromium, program
-from scoup.view.viewed_field import ViewedField
-from scoup.view.viewer import Viewer
+from scoup.view import ViewedField, Viewer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -13,8 +13,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
-from scoup.base import InputError
-from scoup.io import check_output, write_text
+from scoup.base import InputError, check_output, write_text
 from scoup_lab.bench import describe_environment, write_json
 from scoup_lab.bench.environment import in_one_line
 

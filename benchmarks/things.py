@@ -20,8 +20,8 @@ from benchmarks.real_scenes import RealScene
 from benchmarks.scenes import field_of, scene_of
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
-from scoup.field.part_sizes import part_sizes
-from scoup.query.frame import Frame
+from scoup.field import part_sizes
+from scoup.query import Frame
 from scoup.query.phrases import quoted
 from scoup_lab.bench import markdown, torch_threads
 

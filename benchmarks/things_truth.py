@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from benchmarks.kitchen_draws import NOT_ASKED, Truth
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from scoup_lab.synthetic.scene import DemoScene
 
 RIGHT, UP, AWAY = range(3)

@@ -22,11 +22,8 @@ from benchmarks.chromium import chromium, program
 from benchmarks.processes import SCOUP, memory_of, run_python
 from benchmarks.random_field import random_field, write_words
 from benchmarks.study import Record, Study
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.view.export import export_page
-from scoup.view.viewed_field import ViewedField
-from scoup.view.viewer import Viewer
+from scoup.scene import Cameras, Gaussians
+from scoup.view import ViewedField, Viewer, export_page
 from scoup_lab.bench import markdown, random_scene_cameras, random_scene_gaussians
 
 VIEWS = 24

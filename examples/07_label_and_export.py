@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import scoup
-from scoup.query.label_files import save_label_views, save_labels
+from scoup.query import save_label_views, save_labels
 
 if len(sys.argv) < 5:
     sys.exit(__doc__)

@@ -15,7 +15,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import scoup
-from scoup.query.things import Thing
+from scoup.query import Thing
 
 if len(sys.argv) < 5:
     sys.exit(__doc__)

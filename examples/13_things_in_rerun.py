@@ -11,7 +11,7 @@ import rerun  # pyright: ignore[reportMissingImports]
 from scipy.spatial.transform import Rotation
 
 import scoup
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0
 
 if len(sys.argv) < 5:
     sys.exit(__doc__)

@@ -20,8 +20,7 @@ from children import child
 from io_samples import save_langsplat
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, write_colmap
-from scoup.models.word_table import load_table, save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES, load_table, save_table
 from scoup.raster import render_colors
 from support import small_scene, unit
 

@@ -13,12 +13,11 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from scoup.base import sealed
+from scoup.field import FieldInfo
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import METADATA_KEY
-from scoup.field.field_info import FieldInfo
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.query import LanguageField
+from scoup.scene import Camera, Cameras, Gaussians
 
 COUNT, LEVELS, K, ATOMS, DIM = 6, 3, 2, 4, 8
 

@@ -18,13 +18,11 @@ import torch
 
 from cli_support import run
 from io_samples import save_langsplat
-from scoup.archive.archive import Archive
-from scoup.io import load_gaussians, save_gaussians, save_png, write_colmap
-from scoup.io.regions.convert import convert_regions
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.language_field import LanguageField
-from scoup.scene.gaussians import Gaussians
+from scoup.archive import Archive
+from scoup.io import convert_regions, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.query import LanguageField
+from scoup.scene import Gaussians
 from support import random_gaussians, small_scene, unit
 
 FORMATS = Path(__file__).parent / "frozen" / "formats"

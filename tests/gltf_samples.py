@@ -13,7 +13,7 @@ import numpy as np
 from tests.io_samples import save_spz
 
 from scoup.io import load_gaussians
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}

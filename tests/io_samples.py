@@ -12,12 +12,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from scoup.io.regions.views import ViewRegions
+from scoup.io import ViewRegions
 from scoup.io.splats.spz import write_spz
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import LEVELS, RegionMap, Regions
-from scoup.scene.rotations import quats_of_rotations, rotation_matrices
+from scoup.scene import (
+    LEVELS,
+    Camera,
+    Cameras,
+    Gaussians,
+    RegionMap,
+    Regions,
+    quats_of_rotations,
+    rotation_matrices,
+)
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:

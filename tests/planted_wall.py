@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from scoup.query.question import Question
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup.query import Question
+from scoup.scene import Camera, Cameras, Gaussians, RegionMap, Regions
+from scoup.uplift import BuildSettings
 from support import gaussians_at, make_camera, unit
 
 DIM = 24

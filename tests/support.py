@@ -11,12 +11,9 @@ from typing import Any
 import torch
 from hypothesis import strategies as st
 
-from scoup.field import Field
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.field import NO_THING, Field, ThingTable
+from scoup.query import LanguageField
+from scoup.scene import LEVELS, Camera, Cameras, Gaussians, RegionMap, Regions
 
 
 def examples(full: int) -> int:

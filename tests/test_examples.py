@@ -19,8 +19,7 @@ import scoup
 from children import finished
 from cli_support import run, write_scene
 from scoup.extract.plain_colors import PlainColors
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES, save_table
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 

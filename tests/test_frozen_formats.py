@@ -18,13 +18,14 @@ from tests.fuzzing.containers import split_parquet
 import frozen_formats
 from cli_support import run
 from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
-from scoup.archive.archive import Archive
+from scoup.archive import Archive
 from scoup.base import FileFormatError
 from scoup.base.errors import FieldVersionError
 from scoup.field.container import METADATA_KEY
 from scoup.io import read_ply_table, write_ply_table
-from scoup.query.language_field import LanguageField
-from scoup.uplift.region_sums import VERSION, RegionSums
+from scoup.query import LanguageField
+from scoup.uplift import RegionSums
+from scoup.uplift.region_sums import VERSION
 from scoup.uplift.storage.array_file import read_arrays, write_arrays
 
 FIELDS = sorted(FORMATS.glob("*.scoup"))

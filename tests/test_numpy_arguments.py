@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import scoup
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES
 from support import small_scene, unit
 
 

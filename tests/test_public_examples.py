@@ -11,8 +11,8 @@ import torch
 import scoup
 from cli.conftest import here as here
 from cli.conftest import original as original
-from scoup.field.cache import Cache
-from scoup.query.field_view import FieldView
+from scoup.field import Cache
+from scoup.query import FieldView
 
 ANSWERS = (
     "question",

@@ -10,11 +10,8 @@ import pytest
 
 import scoup
 from scoup.io import save_regions
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
+from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.scene import Cameras, Gaussians, Regions
 from support import small_scene, unit
 
 

@@ -8,8 +8,8 @@ import os
 from collections.abc import Iterator
 from unittest.mock import patch
 
+from scoup.cli import Family
 from scoup.cli.app import SCOUP, run
-from scoup.cli.family import Family
 
 HEAD = """# Verbs and their options
 

@@ -13,7 +13,7 @@ import scoup
 from scoup.base import atomic_file
 from scoup.extract import Masks
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.models.entry import ModelEntry
+from scoup.models import ModelEntry
 from scoup.models.hub import ModelIdentity
 
 

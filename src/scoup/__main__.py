@@ -1,6 +1,6 @@
 """The command line as `python -m scoup`."""
 
-from scoup.cli.app import entry
+from scoup.cli import entry
 
 if __name__ == "__main__":
     entry()

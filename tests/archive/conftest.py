@@ -9,8 +9,8 @@ import pytest
 
 import scoup
 from query.planted_room import ROOM, Box, planted_room
-from scoup.models.word_table import save_table
-from scoup.query.language_field import LanguageField
+from scoup.models import save_table
+from scoup.query import LanguageField
 from support import altered
 
 

@@ -26,12 +26,10 @@ from scoup.archive.results_page import results_page
 from scoup.archive.search import look_alikes, rank_of
 from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
-from scoup.field.name_table import NameTable
-from scoup.models.image import open_image_model
-from scoup.models.word_table import save_table
-from scoup.query import constants
-from scoup.query.language_field import LanguageField
-from scoup.query.thing_index import ThingIndex, shares_of, thing_index
+from scoup.field import NameTable
+from scoup.models import open_image_model, save_table
+from scoup.query import LanguageField, ThingIndex, constants, thing_index
+from scoup.query.thing_index import shares_of
 from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")

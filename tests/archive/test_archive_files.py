@@ -23,8 +23,8 @@ from scoup.archive import kept_scans
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
 from scoup.base import FileFormatError, InputError, UnknownNameError
-from scoup.models.text import TextEncoder
-from scoup.query.language_field import LanguageField
+from scoup.models import TextEncoder
+from scoup.query import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 import scoup
-from scoup.query.question import TextVectors
+from scoup.query import TextVectors
 from scoup.query.votes import Selection
 
 

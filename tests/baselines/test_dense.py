@@ -5,11 +5,10 @@ from __future__ import annotations
 import torch
 
 from scoup import raster
-from scoup.field.field_info import FieldInfo
-from scoup.field.relevancy import relevancy
-from scoup.query.language_field import LanguageField
-from scoup.scene.codes import SparseCodes
-from scoup.uplift.rasterise import region_sums
+from scoup.field import FieldInfo, relevancy
+from scoup.query import LanguageField
+from scoup.scene import SparseCodes
+from scoup.uplift import region_sums
 from scoup_lab.baselines.dense import dense_features, mean_features
 from scoup_lab.baselines.fitted import FittedChannels, FittedField
 from scoup_lab.baselines.methods import METHODS

@@ -8,9 +8,8 @@ import torch
 
 from scoup import raster
 from scoup.base import InputError
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.rasterise import region_sums
+from scoup.scene import Camera, Gaussians
+from scoup.uplift import region_sums
 from scoup_lab.baselines.pixel_rules import (
     CentrePixel,
     PixelWeights,

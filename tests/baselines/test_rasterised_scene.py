@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.pixel_rules import CentrePixel

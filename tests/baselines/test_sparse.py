@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.uplift.vote import GaussianCodes
+from scoup.uplift import GaussianCodes
 from scoup_lab.baselines.sparse import vote_entropy, without_half
 
 

@@ -18,8 +18,7 @@ from benchmarks.ways import WAYS
 
 from scoup.base import InputError, UnknownNameError
 from scoup.coding.exact import EFFORTS, ExactSettings
-from scoup.uplift import constants
-from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift import BUILD_PRESETS, constants
 from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift

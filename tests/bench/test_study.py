@@ -13,7 +13,7 @@ from benchmarks import __main__ as program
 from benchmarks.study import Record, Study, run
 
 from scoup.base import InputError, OutputExistsError
-from scoup.cli.family import Family
+from scoup.cli import Family
 
 
 @dataclass(frozen=True, kw_only=True)

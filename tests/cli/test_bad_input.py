@@ -16,7 +16,7 @@ import torch
 from cli_support import ASK, BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
 from scoup.io import load_cameras, save_gaussians, write_colmap, write_transforms
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")

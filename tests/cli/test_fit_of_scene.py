@@ -15,7 +15,7 @@ from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import formats
 from scoup.io.splats.ply import FORMAT, read_ply
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 
 @pytest.fixture(autouse=True)

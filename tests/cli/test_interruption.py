@@ -16,8 +16,7 @@ from children import child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from scoup.base import locked, reserved_output
 from scoup.cli.stop import stop_on_signals
-from scoup.io import load_gaussians, save_gaussians
-from scoup.io.regions.store import RegionStore
+from scoup.io import RegionStore, load_gaussians, save_gaussians
 
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 

@@ -14,8 +14,8 @@ import pytest
 from cli_support import BUILD, refused, run
 from io_samples import write_inria_cameras
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_colmap
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
+from scoup.query import LanguageField
+from scoup.scene import Cameras
 from support import make_camera, random_gaussians
 
 PLY, TABLE = "scene/point_cloud.ply", "scene/words.npz"

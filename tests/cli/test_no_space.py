@@ -23,15 +23,10 @@ from children import finished
 from cli_support import FREE, QUICK, plain_photographs, run, snapshot
 from scoup.base import WriteError, atomic_file, staged
 from scoup.io import load_gaussians, save_gaussians
-from scoup.models.word_table import save_table
+from scoup.models import save_table
 from scoup.raster import ViewSums
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.scene import Cameras, Gaussians, Regions
+from scoup.uplift import BuildSettings, RegionSums, build, region_sums
 from support import small_scene
 
 resource = pytest.importorskip("resource")

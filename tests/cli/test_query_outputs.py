@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cli_support import run, run_json
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 TEXTS = ("kettle", "mug")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import FREE, refused, run, run_json, write_scene
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 pytestmark = pytest.mark.usefixtures("quick_python")

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, snapshot, together
-from scoup.extract.pipeline import lacks_views
+from scoup.extract import lacks_views
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
-from scoup.models.word_table import load_table, save_table
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
+from scoup.models import load_table, save_table
+from scoup.query import LanguageField
+from scoup.scene import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cli_support import WORDS, printed, run, run_json
-from scoup.models.word_table import load_table, save_table
-from scoup.query.language_field import LanguageField
+from scoup.models import load_table, save_table
+from scoup.query import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -11,7 +11,7 @@ import torch
 from cli_support import printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
-from scoup.models.word_table import save_table
+from scoup.models import save_table
 
 LAMP = 4  # of planted_room.ROOM
 

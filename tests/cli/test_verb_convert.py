@@ -12,7 +12,7 @@ import torch
 from cli_support import BUILD, QUICK, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 

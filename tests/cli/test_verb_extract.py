@@ -14,11 +14,10 @@ from PIL import Image
 
 from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json
 from scoup.cli.options import CLIP_MODEL
-from scoup.io import load_cameras, load_regions, write_colmap
-from scoup.io.detections import find_detections
+from scoup.io import find_detections, load_cameras, load_regions, write_colmap
 from scoup.io.regions.manifest import MANIFEST
-from scoup.query.language_field import LanguageField
-from scoup.scene.detections import Detections
+from scoup.query import LanguageField
+from scoup.scene import Detections
 from scoup.uplift.naming import things_in_view
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -10,7 +10,7 @@ from PIL import Image
 
 from cli_support import add_words, printed, run_json
 from scoup.io import load_gaussians
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -14,8 +14,8 @@ from PIL import Image
 
 from cli_support import add_words, printed, refused, run, run_json
 from scoup.io import write_colmap
-from scoup.models.word_table import load_table, save_table
-from scoup.scene.cameras import Cameras
+from scoup.models import load_table, save_table
+from scoup.scene import Cameras
 from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from cli_support import run, run_json
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from scoup.raster import render_colors
 
 pytestmark = pytest.mark.usefixtures("here")

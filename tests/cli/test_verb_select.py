@@ -11,8 +11,7 @@ from PIL import Image
 
 from cli_support import QUICK, add_words, printed, refused, run, run_json
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
-from scoup.query.language_field import LanguageField
-from scoup.query.select import Reshaping
+from scoup.query import LanguageField, Reshaping
 
 pytestmark = pytest.mark.usefixtures("here")
 

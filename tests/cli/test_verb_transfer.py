@@ -9,8 +9,8 @@ import pytest
 
 from cli_support import run, run_json, snapshot
 from scoup.io import load_gaussians, save_gaussians
-from scoup.query.language_field import LanguageField
-from scoup.scene.gaussians import Gaussians
+from scoup.query import LanguageField
+from scoup.scene import Gaussians
 from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -12,7 +12,7 @@ from PIL import Image
 from cli_support import FREE, QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import printed, refused, run_json
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import load_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, load_table
 from tiny_models import save_text_clip
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from scoup.coding import fit_codes
 from scoup.coding.distinct import distinct_rows, value_codes
 from scoup.coding.exact import solve_exact
-from scoup.scene.directions import normalise_embeddings
+from scoup.scene import normalise_embeddings
 
 
 def values(count: int, dim: int = 32, seed: int = 0) -> Tensor:

@@ -12,7 +12,7 @@ from scoup.base import InputError
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import report_on
-from scoup.scene.codes import SparseCodes
+from scoup.scene import SparseCodes
 from support import examples
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
-from scoup.query.question import TextVectors
-from scoup.scene.regions import Regions
+from scoup.query import TextVectors
+from scoup.scene import Regions
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL

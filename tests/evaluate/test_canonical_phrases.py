@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from evaluate.study_scenes import study_scene
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.language_field import build
-from scoup.uplift.build_settings import BuildSettings
+from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.query import build
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings

@@ -11,10 +11,8 @@ import torch
 from scoup import raster
 from scoup.base import InputError
 from scoup.coding import fit_codes
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup.scene import Cameras, Gaussians, RegionMap, Regions
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.studies.consistency import (
     ConsistencyResult,

@@ -10,8 +10,7 @@ import pytest
 from benchmarks.scenes.yard import YARD
 
 from cli_support import QUICK, refused, run, run_json
-from scoup.view import export, page
-from scoup.view.page import page_files
+from scoup.view import export, page, page_files
 from scoup_lab.evaluate.demonstration import rows_by_name, run_demo
 from scoup_lab.evaluate.demonstration_sheet import query_sheet
 from scoup_lab.synthetic import EMBEDDING_MODEL

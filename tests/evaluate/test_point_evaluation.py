@@ -15,8 +15,8 @@ from torch import Tensor
 from evaluate.known_methods import NothingRendered
 from scoup.base import InputError, MissingFileError, UnknownNameError
 from scoup.io import load_gaussians
-from scoup.query.language_field import LanguageField
-from scoup.uplift.build_settings import build_settings
+from scoup.query import LanguageField
+from scoup.uplift import build_settings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply

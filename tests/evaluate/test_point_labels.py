@@ -10,7 +10,7 @@ from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
 from scoup.base import InputError
-from scoup.query.question import TextVectors
+from scoup.query import TextVectors
 from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,
     class_accuracies,
@@ -102,7 +102,7 @@ def test_many_classes_are_queried_in_parts() -> None:
 
 
 def test_relevancy_and_cosine_have_the_same_argmax_at_a_level() -> None:
-    from scoup.field.relevancy import relevancy
+    from scoup.field import relevancy
 
     generator = torch.Generator().manual_seed(1)
     cosines = torch.rand(1, 30, 500, generator=generator) * 0.1 + 0.2

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from scoup.base import InputError
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints
 from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import NO_CLASS

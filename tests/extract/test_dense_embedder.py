@@ -14,9 +14,8 @@ from scoup.extract import extract, find_photographs, open_embedder, open_segment
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import RegionEmbedder
 from scoup.extract.masks import Masks
-from scoup.io import load_regions
-from scoup.io.regions.manifest import read_manifest
-from scoup.scene.cameras import Camera
+from scoup.io import load_regions, read_manifest
+from scoup.scene import Camera
 from tiny_models import saved, tiny_clip, tiny_siglip
 
 

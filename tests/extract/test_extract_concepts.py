@@ -17,7 +17,7 @@ from scoup.extract import find_photographs
 from scoup.extract.concepts import boxes_as_stored, extract_concepts
 from scoup.extract.photographs import Pixels
 from scoup.io.detections import DetectionStore
-from scoup.scene.detections import Detections
+from scoup.scene import Detections
 
 
 class Corner:

@@ -15,11 +15,8 @@ from scoup.base import InputError, ScoupWarning
 from scoup.extract.own_views import choose_cameras, save_views
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_choice import Scores, not_from_behind
-from scoup.pictures import contact_sheet
-from scoup.pictures.colors import Picture
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.up import checked_direction
+from scoup.pictures import Picture, contact_sheet
+from scoup.scene import Cameras, Gaussians, checked_direction
 from support import gaussians_at, make_camera, random_gaussians
 
 

@@ -16,7 +16,7 @@ from mask_samples import smooth_image
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 from support import make_camera
 
 IMAGE = smooth_image(20, 30)

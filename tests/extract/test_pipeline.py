@@ -22,14 +22,14 @@ from scoup.extract import (
     find_photographs,
     open_embedder,
     open_segmenter,
-    paint,
     registry,
 )
+from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
 from scoup.extract.plain_colors import PlainColors
-from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import LEVELS
+from scoup.io import RegionManifest
+from scoup.io.regions.manifest import MANIFEST, write_manifest
+from scoup.scene import LEVELS, Cameras
 from support import make_camera
 from tiny_models import saved, tiny_clip, tiny_sam2
 

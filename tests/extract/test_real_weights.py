@@ -10,8 +10,9 @@ import pytest
 from PIL import Image
 
 import scoup
-from scoup.extract import mask_settings, open_segmenter, paint
-from scoup.scene.regions import LEVELS
+from scoup.extract import mask_settings, open_segmenter
+from scoup.extract.masks import paint
+from scoup.scene import LEVELS
 from scoup_lab.data.labels import read_labels
 
 NAME = "input_0001"

@@ -12,7 +12,7 @@ from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.name_table import NameTable
 from scoup.field.thing_table import NO_THING
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from support import altered, things_of, unit
 
 

@@ -17,7 +17,7 @@ from field_files import parts_of, write_whole
 from scoup.base import ScoupError
 from scoup.field.content import LEAST_GAUSSIANS, TENSORS
 from scoup.field.facts import read_facts
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from support import altered, examples
 
 ODD = (float("nan"), float("inf"), -1.0, 0.0, 7.0, 255.0, 65534.0)

@@ -18,7 +18,7 @@ from scoup.base import FileFormatError
 from scoup.base.errors import FieldVersionError
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from support import examples
 
 

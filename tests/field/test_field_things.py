@@ -16,8 +16,8 @@ from scoup.base import InputError
 from scoup.field import Field
 from scoup.field.checks import MOST_THINGS
 from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.query.language_field import LanguageField
-from scoup.uplift.build import build
+from scoup.query import LanguageField
+from scoup.uplift import build
 from support import altered
 
 PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")

@@ -13,33 +13,32 @@ from tests.fuzzing import containers as of
 from tests.fuzzing.containers import Container
 from tests.fuzzing.samples import KEPT, OTHER_SPLATS, PICTURES, SIZE
 
-from scoup.archive.archive import Archive
+from scoup.archive import Archive
 from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
-from scoup.field.facts import read_facts
-from scoup.field.part_sizes import part_sizes
+from scoup.field import part_sizes, read_facts
 from scoup.io import (
+    RegionStore,
     load_cameras,
     load_gaussians,
     load_image,
     load_regions,
-    read_cfg_args,
+    read_autoencoder,
+    read_langsplat,
+    read_mask,
     read_points,
     read_tracks,
 )
+from scoup.io.cameras.inria import read_cfg_args
 from scoup.io.detections import DetectionStore
-from scoup.io.images import image_fault, read_mask
-from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.regions.langsplat_autoencoder import read_autoencoder
-from scoup.io.regions.store import RegionStore, read_view
+from scoup.io.images import image_fault
+from scoup.io.regions.store import read_view
 from scoup.io.splats.gltf import read_gltf
-from scoup.models.word_table import load_table
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import SparseCodes
-from scoup.uplift.region_sums import RegionSums
+from scoup.models import load_table
+from scoup.query import LanguageField
+from scoup.scene import Camera, Cameras, SparseCodes
+from scoup.uplift import RegionSums, vote
 from scoup.uplift.storage.array_file import view_file
-from scoup.uplift.vote import vote
 from scoup_lab.data.labelled_points import read_labelled_ply
 from scoup_lab.data.labels import read_labels
 

@@ -36,23 +36,24 @@ from tests.io_samples import (
 from tests.support import small_scene
 
 from scoup.io import (
+    GaussianFeatures,
+    RegionManifest,
     as_stored,
+    new_store,
     save_gaussians,
     save_png,
+    table_from_gaussians,
     write_colmap,
+    write_gltf,
     write_transforms,
 )
-from scoup.io.detections import new_store
 from scoup.io.regions import compact
-from scoup.io.regions.manifest import RegionManifest, write_manifest
+from scoup.io.regions.manifest import write_manifest
 from scoup.io.splats.formats import FORMATS
-from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
-from scoup.io.splats.ply import table_from_gaussians
-from scoup.models.word_table import save_table
-from scoup.query.language_field import LanguageField
-from scoup.scene.detections import Detections
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.rasterise import region_sums
+from scoup.models import save_table
+from scoup.query import LanguageField
+from scoup.scene import Detections, Gaussians
+from scoup.uplift import region_sums
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs

@@ -16,8 +16,8 @@ from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
-from scoup.raster import colors as view_colors
-from scoup.scene.cameras import Camera
+from scoup.raster import view_colors
+from scoup.scene import Camera
 
 TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, -1, 1]}
 

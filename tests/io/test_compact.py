@@ -24,8 +24,7 @@ from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS, Cameras
 
 MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
 

@@ -35,8 +35,7 @@ from scoup.io import (
 from scoup.io.cameras.colmap import read_tracks
 from scoup.io.reading import read_text
 from scoup.io.splats.ply import read_ply_table, write_ply_table
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0, Cameras
 
 
 @pytest.mark.parametrize("line", [

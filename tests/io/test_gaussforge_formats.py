@@ -14,7 +14,7 @@ from io_samples import some_gaussians
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed")
 

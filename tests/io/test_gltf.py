@@ -16,7 +16,7 @@ from io_samples import same_gaussians, some_gaussians
 from scoup.base import InputError, ScoupWarning
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from support import examples
 
 NUMBERS = st.floats(-(2.0**99), 2.0**99, width=32)

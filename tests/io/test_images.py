@@ -18,7 +18,7 @@ from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder, find_beside
 from scoup.io.images import image_size, load_image, read_mask, save_png
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 
 def camera_of(width=64, height=48, distortion=(), image_path=None) -> Camera:

@@ -13,7 +13,7 @@ from io_samples import camera_difference, save_images, some_cameras, write_inria
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 
 def test_transforms_round_trip(tmp_path):

@@ -12,8 +12,7 @@ from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarni
 from scoup.io import load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.langsplat_rows import level_blocks
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS, Cameras
 
 
 def write(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> None:

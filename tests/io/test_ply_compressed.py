@@ -16,7 +16,7 @@ from scoup.base import FileFormatError, InputError
 from scoup.io import save_gaussians
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
 from scoup.io.splats.ply_compressed import write_compressed_ply
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 from support import examples
 
 

@@ -17,12 +17,12 @@ from scoup.io import (
     load_gaussians,
     load_image,
     load_regions,
-    read_cfg_args,
     read_ply_table,
     read_points,
     save_gaussians,
     write_ply_table,
 )
+from scoup.io.cameras.inria import read_cfg_args
 
 pytestmark = pytest.mark.data
 

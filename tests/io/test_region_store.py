@@ -20,7 +20,7 @@ from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, RegionManifest
 from scoup.io.regions.store import Layout, RegionStore, read_view
 from scoup.io.regions.views import ViewRegions, match_stems
-from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
+from scoup.scene import LEVELS, RegionMap, Regions, resize_labels
 
 
 def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:

@@ -33,7 +33,7 @@ from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.splats.ply import table_from_gaussians, write_ply_table
-from scoup.scene.sanity_checks import sanity_problems
+from scoup.scene import sanity_problems
 
 
 def colmap_scene(folder: Path, count: int = 3, images: str | None = "images", divisor: int = 1) -> Path:

@@ -19,9 +19,7 @@ from scoup.base import FileFormatError, InputError, ScoupWarning
 from scoup.io import load_gaussians, write_ply
 from scoup.io.splats.spz import MOST_BITS, read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.harmonics import sh_basis
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import Gaussians, rotation_matrices, sh_basis
 from support import examples, unit
 
 # Steps of the stored values, halved, with a little for float32.

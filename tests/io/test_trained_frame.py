@@ -14,7 +14,7 @@ from io_samples import camera_difference, some_cameras
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io import load_cameras, write_colmap, write_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])  # of ns-process-data
 pytestmark = pytest.mark.filterwarnings("ignore:.*using the cameras alone")

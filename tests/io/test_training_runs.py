@@ -21,8 +21,7 @@ from scoup.io import (
     write_colmap,
     write_transforms,
 )
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Cameras, Gaussians
 
 
 def pixels(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:

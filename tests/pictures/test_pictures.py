@@ -14,7 +14,6 @@ from scoup.pictures import (
     code_basis,
     code_picture,
     contact_sheet,
-    heat_colors,
     heat_legend,
     heat_map,
     heat_overlay,
@@ -24,6 +23,7 @@ from scoup.pictures import (
     regions_sheet,
     swatch_legend,
 )
+from scoup.pictures.colors import heat_colors
 from scoup.pictures.legends import scale_ends
 from scoup.pictures.lettering import INK, PAPER, lines_of, text_width
 from scoup.pictures.overlays import eroded

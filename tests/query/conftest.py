@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES
 from scoup.query.answer import AskedText
 from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question
-from scoup.scene.cameras import Camera
-from scoup.uplift.build_settings import BuildSettings
+from scoup.scene import Camera
+from scoup.uplift import BuildSettings
 from support import altered, small_scene, unit
 
 

@@ -9,11 +9,10 @@ import torch
 from torch import Tensor
 
 from query.conftest import random_vectors
-from scoup.field.field_info import FieldInfo
-from scoup.field.thing_table import NO_THING
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.field import NO_THING, FieldInfo
+from scoup.models import CANONICAL_PHRASES
 from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 from support import gaussians_at, things_of, unit
 
 DIM = 32

@@ -11,7 +11,7 @@ from PIL import ImageDraw
 from scipy import ndimage
 
 from query.conftest import ASKED
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture
 from scoup.pictures.lettering import PAPER
 from scoup.query.answer import Answer
 from scoup.query.answer_files import MOST_VIEWS, AnswerSheets

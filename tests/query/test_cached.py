@@ -14,15 +14,13 @@ from query.conftest import WORDS, random_vectors
 from query.planted_room import BACK, FRONT, planted_room
 from query.test_named import LAMP, MUG, named_room
 from scoup.base import native_core
-from scoup.field.cache import ENTRY_BYTES, Cache
-from scoup.field.relevancy import PixelCosines, pixel_relevancy, relevancy
-from scoup.models.text import TextEncoder
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.field import Cache, PixelCosines, pixel_relevancy, relevancy
+from scoup.field.cache import ENTRY_BYTES
+from scoup.models import CANONICAL_PHRASES, TextEncoder
 from scoup.query.answer import answer_relevancy
 from scoup.query.language_field import LanguageField
-from scoup.raster.decoding import cosines_from_codes
-from scoup.scene.cameras import Cameras
-from scoup.scene.codes import SparseCodes
+from scoup.raster import cosines_from_codes
+from scoup.scene import Cameras, SparseCodes
 from support import altered
 
 

@@ -12,7 +12,7 @@ from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
 from scoup.base import InputError, ScoupWarning
 from scoup.query.compare import compare
 from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 WORDS = [*dict.fromkeys(box.name for box in ROOM)]
 MUG, LAPTOP, LAMP = 1, 3, 4

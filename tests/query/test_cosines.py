@@ -13,9 +13,9 @@ from torch import Tensor
 
 from raster.parity import BACKENDS
 from scoup import raster
-from scoup.field.field_info import FieldInfo
+from scoup.field import FieldInfo
 from scoup.query.language_field import LanguageField
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
 
 DIM = 16

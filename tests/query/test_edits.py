@@ -16,8 +16,7 @@ from scoup.query.drawing import moving_cameras
 from scoup.query.edits import best_camera, edit_picture, edited
 from scoup.query.expression import parse_expression
 from scoup.query.question import Question
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0, Camera, Cameras
 from support import random_gaussians
 
 

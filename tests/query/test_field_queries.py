@@ -14,9 +14,7 @@ from torch import Tensor
 from query.conftest import Queried
 from scoup import raster
 from scoup.base import InputError, MissingFileError, UnknownNameError
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES, TextEncoder, save_table
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField

@@ -21,8 +21,7 @@ from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
 from scoup.query.label_files import label_files, labelled_colors, save_label_views, save_labels
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map
-from scoup.scene.gaussians import SH_C0
-from scoup.scene.up import estimate_up
+from scoup.scene import SH_C0, estimate_up
 
 ALL = ("sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet")
 

@@ -13,10 +13,10 @@ import torch
 import scoup
 from query.planted_room import FRONT, planted_room
 from scoup.field import Field
-from scoup.models.text import TextEncoder
+from scoup.models import TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.language_field import LanguageField
-from scoup.scene.detections import Detections
+from scoup.scene import Detections
 
 LAMP = 4  # of the room
 

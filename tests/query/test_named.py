@@ -14,16 +14,15 @@ import torch
 from cli_support import run
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.base import InputError
-from scoup.field.name_table import NameTable
-from scoup.models.text import TextEncoder, everyday_vocabulary
+from scoup.field import NameTable
+from scoup.models import TextEncoder, everyday_vocabulary
 from scoup.query import constants
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice
 from scoup.query.named import Named, joined
 from scoup.query.refine import choose_views, refine
 from scoup.query.thing_index import thing_index
-from scoup.scene.cameras import Cameras
-from scoup.scene.detections import Detections
+from scoup.scene import Cameras, Detections
 from scoup.uplift.constants import EVEN_SCORE
 from scoup.uplift.naming import things_in_view
 from support import altered

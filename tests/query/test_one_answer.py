@@ -19,8 +19,8 @@ from scoup.query.answer import Answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question, literal
 from scoup.query.view_answer import ViewAnswer, main_parts
-from scoup.scene.cameras import Camera
-from scoup.uplift.build_settings import BuildSettings
+from scoup.scene import Camera
+from scoup.uplift import BuildSettings
 from scoup_lab.data.labels import read_labels
 from scoup_lab.synthetic.scene import make_demo_scene
 

@@ -20,7 +20,7 @@ from scoup.query.boxes import PointSets
 from scoup.query.connected_parts import connected_parts
 from scoup.query.place import Place, place_of
 from scoup.query.things import MOST_LINKED, rough_parts
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from support import examples, gaussians_at
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

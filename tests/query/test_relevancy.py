@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base import InputError
-from scoup.field.relevancy import relevancy
+from scoup.field import relevancy
 from support import examples
 
 

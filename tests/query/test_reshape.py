@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scoup.base import InputError
 from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS
 from scoup.query.select import Reshaping, reshaped
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from support import examples, gaussians_at, random_gaussians
 
 

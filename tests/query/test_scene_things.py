@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
-from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
+from scoup.field import NO_THING, ThingTable
+from scoup.field.thing_table import TENSORS
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import PointSets
 from scoup.query.catalog_files import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import altered, examples
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
-from scoup.field.thing_table import NO_THING, ThingTable
+from scoup.field import NO_THING, ThingTable
 from scoup.query import constants, matching
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer

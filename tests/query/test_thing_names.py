@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
-from scoup.field.thing_table import NO_THING
+from scoup.field import NO_THING
 from scoup.query import constants
 from scoup.query.boxes import OrientedBox
 from scoup.query.thing_names import best_of_trees, find_objects, thing_names

@@ -9,9 +9,9 @@ import torch
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.field.renders import render_depth
+from scoup.field import render_depth
 from scoup.query.view_answer import mask_position
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 
 def test_depth_is_the_mean_of_what_paints_a_pixel(queried: Queried) -> None:

@@ -26,8 +26,7 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import KINDS, make_camera, random_gaussians, random_labels, small_scene
 
 if TYPE_CHECKING:
@@ -205,8 +204,7 @@ def check_repeated_atoms(device: str) -> None:
 
 def check_build(rounds: int, device: str) -> None:
     """A whole build gives the field that the reference gives."""
-    from scoup.uplift.build import build
-    from scoup.uplift.build_settings import build_settings
+    from scoup.uplift import build, build_settings
 
     gaussians, cameras, regions = small_scene(count=60, views=2, width=16, height=9, regions=4, dim=8)
     settings = build_settings("default", n_atoms=6, k=2, rounds=rounds)

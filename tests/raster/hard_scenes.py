@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from hypothesis import strategies as st
 
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import make_camera, random_gaussians, scenes
 
 HARD_KINDS = ("crowd", "wall", "needles", "giants", "equal depths", "copies", "off centre", "near")

@@ -19,9 +19,7 @@ from scoup.base.native import missing_reason
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
 from scoup.raster.view_sums import ViewSums
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians, index_dtype
 from support import random_labels, unit
 
 Pair = tuple[raster.Projection, raster.Projection]

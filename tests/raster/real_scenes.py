@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from scoup.io import load_cameras, load_gaussians
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import unit
 
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from scoup import raster
 from scoup.raster import native
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import examples
 
 pytest.importorskip("scoup._native", reason="the compiled core is not built")

@@ -9,7 +9,7 @@ import torch
 
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
-from scoup.scene.codes import float32_products
+from scoup.scene import float32_products
 
 if not torch.cuda.is_available():
     pytest.skip("needs a CUDA device", allow_module_level=True)

@@ -23,8 +23,7 @@ from raster.parity import (
 )
 from raster.real_scenes import load_camera, load_scene
 from scoup import raster
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import unit
 
 pytestmark = [pytest.mark.data, needs_native]

@@ -12,8 +12,7 @@ from scoup import raster
 from scoup.raster import reference
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import make_camera, random_gaussians
 
 

@@ -12,10 +12,9 @@ from torch import Tensor
 
 from raster.parity import needs_native
 from scoup.base import InputError
-from scoup.field import code_sums
-from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
-from scoup.field.relevancy import relevancy
-from scoup.raster.decoding import cosines_from_codes
+from scoup.field import code_sums, inverse_code_norms, relevancy
+from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores
+from scoup.raster import cosines_from_codes
 from scoup.scene.codes import SparseCodes
 from support import examples, unit
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scoup.base import InputError
-from scoup.raster.decoding import cosines_from_codes
+from scoup.raster import cosines_from_codes
 from scoup.scene.codes import SparseCodes, index_dtype
 from support import unit
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scoup.base import InputError
 from scoup.scene.directions import normalise_embeddings, query_vectors, unit_rows
 from scoup.scene.regions import RegionMap, Regions
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings, build
 from support import examples, small_scene, unit
 
 

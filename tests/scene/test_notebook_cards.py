@@ -13,12 +13,12 @@ import torch
 from PIL import Image
 
 from scoup.base import PREVIEW, card
-from scoup.models.text import TextEncoder
-from scoup.query.language_field import build
+from scoup.models import TextEncoder
+from scoup.query import build
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.previews import labels_preview
 from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings
 from support import KINDS, random_gaussians, small_scene, unit
 
 TITLES = (

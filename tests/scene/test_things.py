@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scoup.base import InputError
-from scoup.field.checks import MOST_THINGS
-from scoup.field.thing_table import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
+from scoup.field import MOST_THINGS, NO_THING, ThingTable
+from scoup.field.thing_table import LEAST_SPREAD, SURE_REGIONS, TENSORS
 
 
 def parts(**changes: Any) -> dict[str, Any]:

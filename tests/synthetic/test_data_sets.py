@@ -12,7 +12,7 @@ from PIL import Image
 
 from scoup.base import InputError, OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
-from scoup.models.word_table import load_table
+from scoup.models import load_table
 from scoup_lab.data.labels import read_labels
 from scoup_lab.evaluate.protocols import PIXELS, threed_ovs
 from scoup_lab.evaluate.scenes import Places

@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 
 from scoup.base import OutputExistsError
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.models.word_table import load_table
-from scoup.scene.regions import LEVELS
+from scoup.models import load_table
+from scoup.scene import LEVELS
 from scoup_lab.data.labels import match_frames, read_labels
 from scoup_lab.synthetic import DemoScene, write_demo_scene
 from scoup_lab.synthetic.masks import mask_polygons

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic import DemoScene
 from scoup_lab.synthetic.observe import make_regions
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from scoup.io import load_gaussians
-from scoup.models.word_table import load_table
+from scoup.models import load_table
 from scoup_lab.data.labelled_points import NYU40, read_labelled_ply
 from scoup_lab.synthetic import DemoScene, make_demo_scene
 from scoup_lab.synthetic.point_truth import NYU40_OF

@@ -10,7 +10,7 @@ import torch
 
 from scoup.base import InputError, UnknownNameError
 from scoup.raster import project, render_channels, render_colors
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup_lab.synthetic.art.things import Parts
 from synthetic.small_scenes import SMALL

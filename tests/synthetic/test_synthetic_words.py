@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.scenes import LAYOUTS
 
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic.art.things import Parts
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS, Words, make_words
 

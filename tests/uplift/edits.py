@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 
 def joined(*parts: Gaussians) -> Gaussians:

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
-from scoup.raster import ViewSums
-from scoup.raster.view_sums import merge
-from scoup.scene.codes import SparseCodes, stable_products
+from scoup.raster import ViewSums, merge
+from scoup.scene import SparseCodes, stable_products
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, pack

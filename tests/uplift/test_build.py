@@ -16,8 +16,7 @@ import scoup
 from cli_support import snapshot
 from scoup.base import InputError, Part, ScoupWarning, UnknownNameError
 from scoup.field import Field
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import RegionMap, Regions
+from scoup.scene import Cameras, RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, open_sums, region_sums

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 
 import scoup
-from scoup.scene.codes import SparseCodes
-from scoup.scene.regions import RegionMap, Regions
+from scoup.scene import RegionMap, Regions, SparseCodes
 from scoup.uplift.rasterise import region_sums
 from support import small_scene, unit
 

@@ -16,10 +16,8 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base import spread
-from scoup.field import Field
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import RegionMap
+from scoup.field import NO_THING, Field, ThingTable
+from scoup.scene import Cameras, RegionMap
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS

@@ -18,8 +18,7 @@ import scoup
 from scoup.base import InputError, ScoupWarning
 from scoup.io import save_png
 from scoup.raster import render_colors
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from scoup.uplift.fit import Fit, Verdict, check_coded, check_fit, measure_fit, sample_views
 from scoup.uplift.similarity import similarities
 from support import make_camera, random_gaussians

@@ -12,8 +12,7 @@ import torch
 from PIL import Image
 
 import scoup
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from scoup.uplift.fit import Verdict, measure_fit
 
 pytestmark = [pytest.mark.data, pytest.mark.slow, pytest.mark.timeout(900)]

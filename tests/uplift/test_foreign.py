@@ -11,11 +11,9 @@ import torch
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
 from scoup.base import FileFormatError, InputError
-from scoup.field.relevancy import relevancy
-from scoup.io import load_gaussians
-from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.regions.langsplat_autoencoder import read_autoencoder
-from scoup.query.language_field import LanguageField
+from scoup.field import relevancy
+from scoup.io import load_gaussians, read_autoencoder, read_langsplat
+from scoup.query import LanguageField
 from scoup.uplift import foreign
 from scoup.uplift.foreign import (
     field_from_features,

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from query.planted_room import FRONT, planted_room
-from scoup.field.name_table import NameTable
-from scoup.scene.detections import Detections
+from scoup.field import NameTable
+from scoup.scene import Detections
 from scoup.uplift.constants import BEST_SCORES, BEST_VIEWS, EVEN_SCORE, NAMING_IOU
 from scoup.uplift.naming import (
     ThingsInView,

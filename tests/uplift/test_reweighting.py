@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.scene.codes import SparseCodes
+from scoup.scene import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import scene_sharpness
 from scoup.uplift.vote import vote

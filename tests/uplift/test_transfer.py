@@ -10,11 +10,10 @@ import pytest
 import torch
 
 from scoup.base import InputError
-from scoup.field.thing_table import NO_THING
+from scoup.field import NO_THING
 from scoup.io import load_gaussians, save_gaussians
-from scoup.query.language_field import LanguageField, build
-from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import Gaussians
+from scoup.query import LanguageField, build
+from scoup.scene import Gaussians, index_dtype
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.constants import NEAREST
 from scoup.uplift.transfer import source_rows, transfer

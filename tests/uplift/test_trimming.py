@@ -11,12 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from planted_wall import COUNT, LEVELS, SETTINGS, planted_wall
-from scoup.field.thing_table import NO_THING
+from scoup.field import NO_THING
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query.language_field import build
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
+from scoup.query import build
+from scoup.scene import Cameras, Gaussians, Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.constants import KEPT
 from scoup.uplift.region_sums import RegionSums

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from raster.parity import assert_close, needs_native
 from scoup.base import InputError
-from scoup.scene.codes import SparseCodes
+from scoup.scene import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote_backends.native import Vote as NativeVote
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote

@@ -21,15 +21,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.field_info import FieldInfo
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.field import NO_THING, FieldInfo, ThingTable
+from scoup.models import CANONICAL_PHRASES
+from scoup.pictures import Picture, as_picture
+from scoup.query import LanguageField
+from scoup.scene import SH_C0, Camera, Cameras, Gaussians, index_dtype
 from scoup.view.page import PAGE_FOLDER
 from support import unit
 
@@ -192,7 +188,7 @@ def views(width: int = 160, height: int = 120) -> Cameras:
 
 def saved_field(folder: Path) -> Path:
     """The field of things as a file with its geometry, and ``words.npz`` beside it."""
-    from scoup.models.word_table import save_table
+    from scoup.models import save_table
 
     words = folder / "words.npz"
     save_table(words, list(table()), torch.stack(list(table().values())).numpy())

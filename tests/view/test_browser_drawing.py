@@ -26,9 +26,9 @@ from browser_support import (
 from view_samples import unpacked
 
 from scoup.base import InputError
-from scoup.pictures.colors import Picture
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
+from scoup.pictures import Picture
+from scoup.query import LanguageField
+from scoup.scene import Camera, Cameras
 from scoup.view import parts
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField

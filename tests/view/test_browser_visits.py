@@ -27,8 +27,8 @@ from PIL import Image
 
 import scoup
 from cli_support import run_json
-from scoup.pictures.colors import Picture
-from scoup.scene.cameras import Camera
+from scoup.pictures import Picture
+from scoup.scene import Camera
 from scoup.view.exact import PictureMode
 from scoup.view.viewed_field import ViewedField
 

@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup import raster
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import SH_C0, Camera, Gaussians, rotation_matrices
 from scoup.view.decimation import decimate
 from support import KINDS, examples, random_gaussians
 

@@ -14,8 +14,8 @@ from view_samples import PAGE
 
 from cli_support import run, run_json
 from query.planted_room import ABSENT, FRONT, ROOM, Box, planted_room
-from scoup.models.word_table import save_table
-from scoup.query.language_field import LanguageField
+from scoup.models import save_table
+from scoup.query import LanguageField
 from scoup.view.guard import Guard
 from scoup.view.scene_tools import SceneTools
 from scoup.view.server import application

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from view_samples import field_with_things, random_field, splat_of, table, unpacked, viewed_field
 
 from scoup.base import InputError
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0, Camera, Cameras
 from scoup.view.decimation import decimate
 from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings

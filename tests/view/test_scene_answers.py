@@ -14,12 +14,11 @@ import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from scoup.base import InputError, UnknownNameError
-from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
-from scoup.models.text import everyday_vocabulary
-from scoup.query.answer import Answer
+from scoup.field import NO_THING, ThingTable
+from scoup.field.thing_table import TENSORS
+from scoup.models import everyday_vocabulary
+from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
-from scoup.query.language_field import LanguageField
-from scoup.query.votes import level_thresholds
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField

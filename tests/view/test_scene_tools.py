@@ -16,13 +16,11 @@ from PIL import Image
 from cli_support import run, write_scene
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
-from scoup.archive.agent_tool import archive_tool
-from scoup.archive.archive import Archive
+from scoup.archive import Archive, archive_tool
 from scoup.base import InputError, ScoupError
-from scoup.field.facts import read_facts
+from scoup.field import read_facts
 from scoup.io import load_gaussians
-from scoup.query.language_field import LanguageField
-from scoup.query.relations import overlaps
+from scoup.query import LanguageField, overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 from scoup.view.viewed_field import ViewedField
 

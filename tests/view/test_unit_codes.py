@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from view_samples import DIM, random_field
 
+from scoup.field import relevancy
 from scoup.field.code_sums import code_scores
-from scoup.field.relevancy import relevancy
 from scoup.view.unit_codes import UnitCodes, atom_scores
 from support import examples, unit
 

@@ -12,13 +12,10 @@ import torch
 from safetensors.numpy import load
 from torch import Tensor
 
-from scoup.field.field_info import FieldInfo
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import Gaussians
+from scoup.field import NO_THING, FieldInfo, ThingTable
+from scoup.models import CANONICAL_PHRASES
+from scoup.query import LanguageField
+from scoup.scene import Camera, Cameras, Gaussians, index_dtype
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
 from support import altered, make_camera, random_gaussians, unit

@@ -1,1 +1,12 @@
-"""Many scans in one folder of Parquet files, asked together."""
+"""Many fields as one folder of Parquet files and a matrix, searched together."""
+
+from scoup.archive.agent_tool import archive_tool
+from scoup.archive.archive import Archive, FoundThing
+from scoup.archive.results_page import results_page
+
+__all__ = [
+    "Archive",
+    "FoundThing",
+    "archive_tool",
+    "results_page",
+]

@@ -12,8 +12,8 @@ from PIL import Image
 
 from scoup.archive.archive import Archive
 from scoup.base import InputError
-from scoup.io.images import ANY_PIXELS
-from scoup.models.text import LONGEST
+from scoup.io import ANY_PIXELS
+from scoup.models import LONGEST
 
 MOST_FOUND = 200
 """Things, or with a least number of things scans, in one reply."""

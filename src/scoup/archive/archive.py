@@ -56,15 +56,19 @@ from scoup.base import (
     rounded_vector,
     write_text,
 )
-from scoup.field.container import place_of, relative_place
-from scoup.io.images import open_image, rgb_image
-from scoup.models.text import Encoder, TextEncoder
-from scoup.query.boxes import OrientedBox
-from scoup.query.language_field import LanguageField
-from scoup.query.presence import LEAST_GAUSSIANS
-from scoup.query.question import check_encoder, encode_texts, warn_of_another_model
-from scoup.query.thing_index import thing_index
-from scoup.query.things import things_of_table
+from scoup.field import place_of, relative_place
+from scoup.io import open_image, rgb_image
+from scoup.models import Encoder, TextEncoder
+from scoup.query import (
+    LEAST_GAUSSIANS,
+    LanguageField,
+    OrientedBox,
+    check_encoder,
+    encode_texts,
+    thing_index,
+    things_of_table,
+    warn_of_another_model,
+)
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -419,9 +423,7 @@ class Archive:
 
     def _embedded(self, pixels: NDArray[np.uint8]) -> Tensor:
         """Return the vector [D] of an image [H, W, 3] by the embedding model of the archive."""
-        from scoup.extract.masks import Masks
-        from scoup.extract.pipeline import embed_masks
-        from scoup.extract.registry import open_embedder
+        from scoup.extract import Masks, embed_masks, open_embedder
 
         about = self._about()
         if not about:

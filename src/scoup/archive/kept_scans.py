@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.archive.scan_files import ENDING, Scan, read_scans
 from scoup.base import WAIT, FileFormatError, WriteError, locked, refuse_pointer
-from scoup.query.thing_index import ThingIndex
+from scoup.query import ThingIndex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

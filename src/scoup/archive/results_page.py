@@ -11,9 +11,8 @@ import torch
 
 from scoup.archive.archive import FoundThing
 from scoup.base import ScoupError, ScoupWarning, data_address, html
-from scoup.field.container import relative_place
-from scoup.query.catalog_files import draw_things
-from scoup.query.things import things_of_table
+from scoup.field import relative_place
+from scoup.query import draw_things, things_of_table
 
 _FOUND = """{% extends "page" %}{% block body %}<ul>
 {% for thing, picture, link in found %}

@@ -30,12 +30,8 @@ from scoup.base import (
     check_format_version,
     refuse_pointer,
 )
-from scoup.field.container import place_of
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.query.boxes import OrientedBox
-from scoup.query.thing_index import Shares, ThingIndex
-from scoup.query.things import Thing
+from scoup.field import NO_THING, NameTable, ThingTable, place_of
+from scoup.query import OrientedBox, Shares, Thing, ThingIndex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

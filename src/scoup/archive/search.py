@@ -15,17 +15,27 @@ from torch import Tensor
 
 from scoup.archive.scan_files import Scan
 from scoup.base import InputError, MissingFileError
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import ThingTable
-from scoup.models.text import TextEncoder
-from scoup.query.ask import things_of_question
-from scoup.query.expression import Expression, parse_expression
-from scoup.query.language_field import LanguageField
-from scoup.query.named import Named, find_named
-from scoup.query.phrases import texts_of
-from scoup.query.presence import TextScore, presence_threshold, text_scores
-from scoup.query.question import Question, encode_texts, make_question, near_names
-from scoup.query.thing_index import ThingIndex, Verdict, compared_words
+from scoup.field import NameTable, ThingTable
+from scoup.models import TextEncoder
+from scoup.query import (
+    Expression,
+    LanguageField,
+    Named,
+    Question,
+    TextScore,
+    ThingIndex,
+    Verdict,
+    compared_words,
+    encode_texts,
+    find_named,
+    make_question,
+    near_names,
+    parse_expression,
+    presence_threshold,
+    text_scores,
+    texts_of,
+    things_of_question,
+)
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
 LEAD = 0.5

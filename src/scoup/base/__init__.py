@@ -40,6 +40,7 @@ from scoup.base.existing import existing_file, refuse_pointer
 from scoup.base.file_names import slug, unique_slugs
 from scoup.base.html import PREVIEW, card, data_address, html
 from scoup.base.json_node import JsonNode
+from scoup.base.lazy import lazy_names
 from scoup.base.locks import WAIT, locked
 from scoup.base.native import native_core, refusals, release_memory, require_core
 from scoup.base.npz import write_npz
@@ -54,23 +55,23 @@ from scoup.base.staging import check_outputs, staged
 from scoup.base.version import VERSION
 
 __all__ = [
+    "MOST_ROWS_IN_MEMORY",
+    "PATH",
+    "PREVIEW",
+    "VERSION",
+    "WAIT",
     "Entry",
     "FileFormatError",
     "InputError",
     "JsonNode",
-    "MOST_ROWS_IN_MEMORY",
     "MissingFileError",
     "OutputExistsError",
-    "PATH",
-    "PREVIEW",
     "Part",
     "Progress",
     "Registry",
     "ScoupError",
     "ScoupWarning",
     "UnknownNameError",
-    "VERSION",
-    "WAIT",
     "WriteError",
     "array_checksum",
     "atomic_file",
@@ -90,6 +91,7 @@ __all__ = [
     "geometry_fingerprint",
     "html",
     "is_sealed",
+    "lazy_names",
     "listed",
     "load_backend",
     "locked",

@@ -22,7 +22,7 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.archive.archive import Archive, FoundThing
+    from scoup.archive import Archive, FoundThing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class SearchArchive:
 
     def run(self, console: Console) -> None:
         """Add, remove, list, search."""
-        from scoup.archive.archive import Archive
+        from scoup.archive import Archive
 
         scan, search = self.scan, self.search
         is_search = self.question is not None or search.image is not None
@@ -115,7 +115,7 @@ class SearchArchive:
         total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
         console.say(f"{question}: {total if found else 'nothing found'}")
         if page is not None:
-            from scoup.archive.results_page import results_page
+            from scoup.archive import results_page
 
             write_text(page, results_page(question, found, page), overwrite)
             console.say(f"{page}: written")

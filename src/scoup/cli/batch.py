@@ -63,7 +63,7 @@ class Batch:
 
     def run(self, console: Console) -> int:
         """Build what is missing, add it to the archive, report."""
-        from scoup.archive.archive import Archive
+        from scoup.archive import Archive
 
         check_number("--jobs", self.jobs, 1)
         if self.ray is not None and self.jobs != 1:
@@ -96,7 +96,7 @@ class Batch:
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.io.camera_sources import has_cameras
+        from scoup.io import has_cameras
 
         if not self.scans.is_dir():
             problem = "is a file" if self.scans.exists() else "there is no such folder"

@@ -26,12 +26,8 @@ from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath, arg, titled
 
 if TYPE_CHECKING:
     from scoup.field import Field
-    from scoup.scene.cameras import Cameras
-    from scoup.scene.detections import Detections
-    from scoup.scene.gaussians import Gaussians
-    from scoup.scene.regions import Regions
-    from scoup.uplift.build_settings import BuildSettings
-    from scoup.uplift.region_sums import RegionSums
+    from scoup.scene import Cameras, Detections, Gaussians, Regions
+    from scoup.uplift import BuildSettings, RegionSums
 
 CLIP_DIM = 512
 
@@ -72,7 +68,7 @@ class Build:
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
-        from scoup.io.camera_sources import scene_folder
+        from scoup.io import scene_folder
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -104,8 +100,8 @@ class Build:
     def _extract(self, console: Console) -> dict[str, Any]:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
         from scoup.cli.extract import Extract, ModelOptions, PhotographOptions
-        from scoup.extract.pipeline import lacks_views
-        from scoup.io.scene_parts import find_splat, usual_features
+        from scoup.extract import lacks_views
+        from scoup.io import find_splat, usual_features
 
         named = self.method.segmenter is not None or self.method.embedder is not None
         if self.parts.features is not None:
@@ -133,9 +129,7 @@ class Build:
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
         from scoup.field import Field
-        from scoup.uplift.build import build
-        from scoup.uplift.naming import name_field
-        from scoup.uplift.provenance import FieldSources
+        from scoup.uplift import FieldSources, build, name_field
 
         self._report_resumed(console, sums, len(loaded.regions))
         codebook = None if self.coding.codebook is None else Field.load(self.coding.codebook)
@@ -170,9 +164,8 @@ class Build:
 
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""
-        from scoup.scene.cameras import Cameras
-        from scoup.uplift.build import check_scene
-        from scoup.uplift.rasterise import add_views, cameras_with_regions
+        from scoup.scene import Cameras
+        from scoup.uplift import add_views, cameras_with_regions, check_scene
 
         part, folder = Part.parse(self.region_sums.part or ""), self.region_sums.keep_sums
         if folder is None:
@@ -203,17 +196,15 @@ class Build:
 
     def settings(self, raster_preset: str) -> BuildSettings:
         """Return the preset with the options passed."""
-        from scoup.uplift.build_settings import build_settings
+        from scoup.uplift import build_settings
 
         changes = {"n_atoms": self.coding.n_atoms, "k": self.coding.k, "scale": self.region_sums.scale}
         return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
 
     def _load(self, console: Console) -> _Loaded:
         """Read the scene."""
-        from scoup.io import load_gaussians
-        from scoup.io.detections import detections_of, find_detections
-        from scoup.io.scene_parts import find_splat
-        from scoup.uplift.provenance import embedding_source
+        from scoup.io import detections_of, find_detections, find_splat, load_gaussians
+        from scoup.uplift import embedding_source
 
         splat = find_splat(self.scene, self.parts.gaussians)
         source = splat.path
@@ -234,14 +225,14 @@ class Build:
 
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
         """The sums named, or those in a temporary folder."""
-        from scoup.uplift.region_sums import RegionSums
+        from scoup.uplift import RegionSums
 
         if self.region_sums.sums is not None:
             return RegionSums.open(self.region_sums.sums)
         return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
 
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
-        from scoup.uplift.rasterise import open_sums
+        from scoup.uplift import open_sums
 
         return open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded))
 
@@ -250,7 +241,7 @@ class Build:
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        from scoup.uplift.storage.array_file import view_files
+        from scoup.uplift import view_files
 
         if self.region_sums.keep_sums is None:
             return
@@ -267,7 +258,7 @@ class Build:
 
 def _suggestion(field: Field, out: Path) -> str:
     """What to do with a field: texts are asked only where it names what encodes them."""
-    from scoup.models.text import COLORS
+    from scoup.models import COLORS
 
     if field.info.words is None and field.embedding_model in ("", COLORS):
         return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"

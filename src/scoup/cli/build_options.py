@@ -12,8 +12,7 @@ from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText,
 
 if TYPE_CHECKING:
     from scoup.field import Field
-    from scoup.scene.cameras import Cameras
-    from scoup.scene.regions import Regions
+    from scoup.scene import Cameras, Regions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +94,7 @@ class SceneOptions:
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
         """Return cameras and regions of a scene, and the folder of the regions."""
-        from scoup.io import load_regions
-        from scoup.io.scene_parts import find_features
+        from scoup.io import find_features, load_regions
 
         cameras = self.load_cameras(scene)
         features = find_features(scene, self.features)
@@ -128,8 +126,8 @@ def report_field(
     extraction: dict[str, Any],
 ) -> None:
     """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
-    from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.storage.array_file import stored_bytes, view_files
+    from scoup.field import part_sizes
+    from scoup.uplift import stored_bytes, view_files
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():

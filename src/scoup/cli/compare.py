@@ -44,10 +44,9 @@ class CompareCaptures:
 
     def run(self, console: Console) -> None:
         """Compare and write."""
-        from scoup.io.similarity import read_similarity
-        from scoup.query.compare import compare
-        from scoup.query.compare_files import PAGE, RECORD, save_comparison
-        from scoup.view.vocabulary import read_words
+        from scoup.io import read_similarity
+        from scoup.query import PAGE, RECORD, compare, save_comparison
+        from scoup.view import read_words
 
         opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)

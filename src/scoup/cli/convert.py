@@ -15,7 +15,7 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, WritesCommon, ar
 
 if TYPE_CHECKING:
     from scoup.field import Field
-    from scoup.io.regions.langsplat_autoencoder import Decoder
+    from scoup.io import Decoder
 
 _ARRAYS = (".npy", ".pt")  # of features
 _CHECKPOINTS = (".pth", ".ckpt")  # of LangSplat
@@ -89,13 +89,14 @@ class Convert:
             )
 
     def _is_to_splat(self) -> bool:
-        from scoup.io.splats.formats import format_of
+        from scoup.io import format_of
 
         kind = format_of(self.target)
         return kind is not None and kind.write is not None
 
     def _convert_splat(self, console: Console) -> None:
-        from scoup.io import check_output, load_gaussians, save_gaussians
+        from scoup.base import check_output
+        from scoup.io import load_gaussians, save_gaussians
 
         check_output(self.target, self.common.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
@@ -138,7 +139,7 @@ class Convert:
 
     def _convert_features(self, console: Console) -> None:
         from scoup.io import load_gaussians, splat_source
-        from scoup.uplift.foreign import field_from_features, read_features
+        from scoup.uplift import field_from_features, read_features
 
         check_field_output(self.target, self.common.overwrite)
         if self.features.gaussians is None:
@@ -159,7 +160,7 @@ class Convert:
         self._save(console, field, embed_geometry=False)
 
     def _convert_checkpoints(self, console: Console) -> None:
-        from scoup.uplift.foreign import field_from_langsplat, langsplat_levels
+        from scoup.uplift import field_from_langsplat, langsplat_levels
 
         check_field_output(self.target, self.common.overwrite)
         paths = langsplat_levels(self.source)
@@ -177,14 +178,13 @@ class Convert:
         self._save(console, field, embed_geometry=True)
 
     def _decoder(self) -> Decoder | None:
-        from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+        from scoup.io import read_autoencoder
 
         return None if self.regions.autoencoder is None else read_autoencoder(self.regions.autoencoder)
 
     def _encoder(self) -> dict[str, Any]:
         """The model and word table that the field is to name."""
-        from scoup.models.text import check_model
-        from scoup.models.word_table import is_table
+        from scoup.models import check_model, is_table
 
         if self.model is None:
             return {}

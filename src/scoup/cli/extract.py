@@ -25,8 +25,7 @@ from scoup.cli.options import (
 
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
-    from scoup.extract import ExtractReport, MaskSettings
-    from scoup.extract.photographs import Photograph
+    from scoup.extract import ExtractReport, MaskSettings, Photograph
 
 MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
 
@@ -117,10 +116,8 @@ class Extract:
     def make(self, console: Console) -> dict[str, Any]:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
-        from scoup.extract import extract, find_photographs
-        from scoup.extract.photograph_choice import total_wanted
-        from scoup.extract.registry import open_pair
-        from scoup.io.scene_parts import usual_features
+        from scoup.extract import extract, find_photographs, open_pair, total_wanted
+        from scoup.io import usual_features
 
         scene = self._scene()
         if is_splat(scene):
@@ -170,9 +167,8 @@ class Extract:
 
     def _draw(self, console: Console, view: str) -> None:
         """Draw the regions of a view at all levels, with their numbers where there is room."""
-        from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
-        from scoup.io.camera_sources import scene_folder
-        from scoup.io.regions.store import RegionStore
+        from scoup.base import check_output
+        from scoup.io import RegionStore, load_cameras, load_image, load_regions, save_png, scene_folder
         from scoup.pictures import regions_sheet
 
         scene = self._scene()
@@ -203,13 +199,8 @@ class Extract:
         self, console: Console, photographs: Sequence[Photograph], out: Path
     ) -> list[Photograph] | None:
         """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
-        from scoup.extract import choose_photographs
-        from scoup.extract.constants import FEW
-        from scoup.extract.own_views import SHEET
-        from scoup.extract.photograph_choice import total_wanted
-        from scoup.io.regions.manifest import read_manifest
-        from scoup.io.regions.store import RegionStore
-        from scoup.io.scene_parts import find_splat
+        from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
+        from scoup.io import RegionStore, find_splat, read_manifest
 
         wanted, scene = self.photographs, self._scene()
         if wanted.gaussians is not None:
@@ -244,8 +235,8 @@ class Extract:
 
     def _words(self) -> tuple[str, ...]:
         """The words of --concepts."""
-        from scoup.models.words import EVERYDAY_WORDS
-        from scoup.view.vocabulary import read_words
+        from scoup.models import EVERYDAY_WORDS
+        from scoup.view import read_words
 
         if self.words.concepts is None:
             return ()
@@ -255,11 +246,14 @@ class Extract:
         self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
     ) -> dict[str, Any]:
         """Store where a model finds words in the photographs; returns what the result says of it."""
-        from scoup.extract.concepts import extract_concepts
-        from scoup.io.detections import FOLDER_NAME
-        from scoup.models.concepts import open_concepts
+        from scoup.extract import extract_concepts
+        from scoup.io import CONCEPTS_FOLDER
+        from scoup.models import open_concepts
 
-        model, folder = open_concepts(self.words.concept_model, device=self.common.device), out / FOLDER_NAME
+        model, folder = (
+            open_concepts(self.words.concept_model, device=self.common.device),
+            out / CONCEPTS_FOLDER,
+        )
         with console.progress() as progress:
             report = extract_concepts(
                 photographs, folder, model, words, MAX_HEIGHT, self.common.overwrite, part, progress
@@ -283,8 +277,8 @@ class Extract:
 
 
 def _list_models(console: Console) -> None:
-    from scoup.extract.registry import EMBEDDERS, SEGMENTERS
-    from scoup.models.concepts import CONCEPTS
+    from scoup.extract import EMBEDDERS, SEGMENTERS
+    from scoup.models import CONCEPTS
 
     rows = {
         title: [

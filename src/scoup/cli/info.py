@@ -38,9 +38,8 @@ class Info:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    from scoup.io.describe import describe_folder
-    from scoup.uplift.fit import fit_problem, measure_fit
-    from scoup.uplift.storage.array_file import ENDING, SCENE
+    from scoup.io import describe_folder
+    from scoup.uplift import ENDING, SCENE, fit_problem, measure_fit
 
     if (path / f"{SCENE}{ENDING}").exists():
         return _region_sums(path)
@@ -56,8 +55,7 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def _other(path: Path) -> dict[str, Any]:
-    from scoup.io.camera_sources import camera_format
-    from scoup.io.splats.formats import is_splat_name, other_format, read_endings
+    from scoup.io import camera_format, is_splat_name, other_format, read_endings
 
     if camera_format(path):
         return _cameras(path)
@@ -72,21 +70,19 @@ def _other(path: Path) -> dict[str, Any]:
 
 
 def _splat(path: Path) -> dict[str, Any]:
-    from scoup.io import load_gaussians
-    from scoup.io.describe import describe_gaussians
+    from scoup.io import describe_gaussians, load_gaussians
 
     return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
 
 
 def _cameras(path: Path) -> dict[str, Any]:
-    from scoup.io.describe import describe_cameras, describe_unreadable
-    from scoup.io.scenes import all_cameras
+    from scoup.io import all_cameras, describe_cameras, describe_unreadable
 
     return {"kind": "cameras", **describe_cameras(all_cameras(path)), **describe_unreadable(path)}
 
 
 def _word_table(path: Path) -> dict[str, Any]:
-    from scoup.models.word_table import load_table
+    from scoup.models import load_table
 
     table = load_table(path)
     record = {"kind": "word table", "names": list(table.names), "dim": table.vectors.shape[1]}
@@ -94,8 +90,7 @@ def _word_table(path: Path) -> dict[str, Any]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    from scoup.io.reading import read_json
-    from scoup.io.splats.formats import is_splat_name
+    from scoup.io import is_splat_name, read_json
 
     if is_splat_name(path):
         return _splat(path)
@@ -111,7 +106,7 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _region_sums(path: Path) -> dict[str, Any]:
-    from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift import RegionSums
 
     sums = RegionSums.open(path)
     return {
@@ -127,7 +122,7 @@ def _region_sums(path: Path) -> dict[str, Any]:
 
 
 def _field(path: Path) -> dict[str, Any]:
-    from scoup.field.facts import read_facts
+    from scoup.field import read_facts
 
     facts = read_facts(path)
     provenance = facts.pop("provenance")  # long, so last

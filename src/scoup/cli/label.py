@@ -22,10 +22,8 @@ from scoup.cli.query_options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.query.answer import Answer
-    from scoup.query.labels import GaussianLabels
-    from scoup.query.language_field import LanguageField
-    from scoup.scene.cameras import Camera
+    from scoup.query import Answer, GaussianLabels, LanguageField
+    from scoup.scene import Camera
 
 Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
 USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
@@ -69,9 +67,7 @@ class Label:
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query.label_files import label_files, save_label_views, save_labels
-        from scoup.query.labels import labels_of
-        from scoup.query.question import literal
+        from scoup.query import label_files, labels_of, literal, save_label_views, save_labels
 
         words = self._words()
         out = output_folder(self.out, self.field, "labels")
@@ -96,7 +92,7 @@ class Label:
 
     def _words(self) -> tuple[str, ...]:
         """The words of the command line and of the list, each once."""
-        from scoup.view.vocabulary import read_words
+        from scoup.view import read_words
 
         words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)
@@ -116,8 +112,7 @@ def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
     """Report the Gaussians of each word, and the files."""
-    from scoup.query.answer import ExpressionAnswer
-    from scoup.query.place import numbered_things
+    from scoup.query import ExpressionAnswer, numbered_things
 
     record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
     for one in record["classes"]:

@@ -25,7 +25,7 @@ from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
-    from scoup.query.language_field import LanguageField
+    from scoup.query import LanguageField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,17 +57,14 @@ class ServeAgents:
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.view.mcp_server import make_server, serve
-        from scoup.view.scene_tools import SceneTools
-        from scoup.view.vocabulary import read_words
+        from scoup.view import SceneTools, make_server, read_words, serve
 
         self._check_options()
         words = read_words(self.words)
         fields = self._open_fields(words)
         more = []
         if self.archive is not None:
-            from scoup.archive.agent_tool import archive_tool
-            from scoup.archive.archive import Archive
+            from scoup.archive import Archive, archive_tool
 
             archive = Archive(self.archive, self.text)
             archive.text_encoder()  # as the fields'
@@ -76,7 +73,7 @@ class ServeAgents:
         stopped = None
         try:
             if self.http is not None:
-                from scoup.view.mcp_http import serve_http
+                from scoup.view import serve_http
 
                 serve_http(server, self.http, partial(_announce, console))
             else:
@@ -99,8 +96,7 @@ class ServeAgents:
 
     def _open_fields(self, words: tuple[str, ...]) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
-        from scoup.query.language_field import LanguageField
-        from scoup.query.question import literal
+        from scoup.query import LanguageField, literal
 
         fields = {}
         for path in self.fields:

@@ -31,14 +31,17 @@ from scoup.cli.query_options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.query.answer_files import AnswerFiles
-    from scoup.query.field_view import FieldView
-    from scoup.query.language_field import LanguageField
-    from scoup.query.place import Place
-    from scoup.query.question import Question, Several
-    from scoup.query.refine import Refined
-    from scoup.query.view_answer import ViewAnswer
-    from scoup.scene.cameras import Camera
+    from scoup.query import (
+        AnswerFiles,
+        FieldView,
+        LanguageField,
+        Place,
+        Question,
+        Refined,
+        Several,
+        ViewAnswer,
+    )
+    from scoup.scene import Camera
 
 RECORD = "query.json"
 FRAMES, FRAMES_PER_SECOND = 120, 24.0  # of a video
@@ -93,8 +96,8 @@ class Query:
 
     def run(self, console: Console) -> None:
         """Answer every text in every view asked for, and in the world."""
-        from scoup.io import write_text
-        from scoup.query.answer_files import AnswerFiles
+        from scoup.base import write_text
+        from scoup.query import AnswerFiles
 
         check_texts(self.texts)
         self._check_options()
@@ -131,7 +134,7 @@ class Query:
         self._report(console, result, places, metres_per_unit)
 
     def _check_options(self) -> None:
-        from scoup.pictures.video import check_video_writer
+        from scoup.pictures import check_video_writer
 
         check_metres(self.metres_per_unit)
         check_metres(self.longest_side, "--longest-side")
@@ -143,7 +146,7 @@ class Query:
     def _refine(self, console: Console, field: LanguageField) -> Refined | None:
         """Name things with a model, where one is given."""
         from scoup.io import load_cameras
-        from scoup.query.refine import refine
+        from scoup.query import refine
 
         if self.detector.refine is None:
             return None
@@ -204,8 +207,8 @@ class Query:
         progress: Progress,
     ) -> list[str]:
         """Write the videos that are wanted; their names."""
-        from scoup.pictures.video import save_video
-        from scoup.query.drawing import heat_frames, moving_cameras
+        from scoup.pictures import save_video
+        from scoup.query import heat_frames, moving_cameras
 
         if self.video == "none":
             return []

@@ -21,11 +21,8 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.query.expression import Expression
-    from scoup.query.frame import Frame
-    from scoup.query.language_field import LanguageField
-    from scoup.query.question import Question, Several
-    from scoup.scene.cameras import Camera, Cameras
+    from scoup.query import Expression, Frame, LanguageField, Question, Several
+    from scoup.scene import Camera, Cameras
 
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 
@@ -48,7 +45,7 @@ class FieldOptions:
             GeometryMismatchError: the geometry is not the one the field was built on.
         """
         from scoup.io import load_gaussians
-        from scoup.query.language_field import LanguageField
+        from scoup.query import LanguageField
 
         field = LanguageField.load(path)
         if self.gaussians is not None:

@@ -12,10 +12,9 @@ from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalPath, Optional
 from scoup.cli.query_options import CameraOptions, TextOptions, output_folder
 
 if TYPE_CHECKING:
-    from scoup.pictures.colors import Picture
-    from scoup.query.drawing import Draw
-    from scoup.query.language_field import LanguageField
-    from scoup.scene.cameras import Camera
+    from scoup.pictures import Picture
+    from scoup.query import Draw, LanguageField
+    from scoup.scene import Camera
 
 ANIMATIONS = (".webp", ".gif")
 FRAMES_PER_SECOND = 12.0  # of an animation
@@ -51,7 +50,7 @@ class Render:
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
         from scoup.io import save_png
-        from scoup.pictures.animation import save_animation
+        from scoup.pictures import save_animation
 
         kind = "" if self.out is None else self.out.suffix.lower()
         animation = kind in ANIMATIONS
@@ -99,7 +98,7 @@ class Render:
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view."""
-        from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
+        from scoup.query import code_drawing, color_drawing, relevancy_drawing
 
         if self.what == "codes":
             return code_drawing(

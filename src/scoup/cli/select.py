@@ -30,10 +30,8 @@ from scoup.cli.query_options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.query.answer import ExpressionAnswer
-    from scoup.query.language_field import LanguageField
-    from scoup.query.place import Place
-    from scoup.scene.gaussians import Gaussians
+    from scoup.query import ExpressionAnswer, LanguageField, Place
+    from scoup.scene import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +93,7 @@ class Select:
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
-        from scoup.query.expression import parse_expression
-        from scoup.query.select import Reshaping
+        from scoup.query import Reshaping, parse_expression
 
         check_texts(self.texts)
         shape = self.shape
@@ -114,7 +111,8 @@ class Select:
         self._report(console, whole, written, field.location(whole))
 
     def _check_options(self) -> None:
-        from scoup.io import check_output, written_format
+        from scoup.base import check_output
+        from scoup.io import written_format
 
         check_number("--opacity", self.opacity, 0, 1)
         check_metres(self.metres_per_unit)
@@ -174,7 +172,7 @@ class Select:
     def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
-        from scoup.query.edits import STATE, SplatTable, edited
+        from scoup.query import STATE, SplatTable, edited
 
         left = field.gaussians
         if self.edit != "state":
@@ -199,7 +197,7 @@ class Select:
     def _draw(self, field: LanguageField, whole: ExpressionAnswer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
         from scoup.io import save_png
-        from scoup.query.edits import best_camera, edit_picture
+        from scoup.query import best_camera, edit_picture
 
         if self.picture is None:
             return

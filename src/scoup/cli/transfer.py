@@ -35,7 +35,7 @@ class Transfer:
     def run(self, console: Console) -> None:
         """Transfer, save and report."""
         from scoup.io import load_gaussians
-        from scoup.uplift.transfer import transfer
+        from scoup.uplift import transfer
 
         out = self.out or Path(f"{self.splat.stem}.scoup")
         check_field_output(out, self.common.overwrite)

@@ -14,7 +14,7 @@ from scoup.cli.query_options import TextOptions
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
-    from scoup.view.viewed_field import ViewedField
+    from scoup.view import ViewedField
 
 _MEGABYTE = 1e6
 
@@ -78,7 +78,7 @@ class View:
         return 0
 
     def _check_options(self) -> None:
-        from scoup.view.viewer import check_needed
+        from scoup.view import check_needed
 
         export, split = self.exported.export, self.exported.split
         check_number("--port", self.server.port, 0, 65535)
@@ -91,9 +91,7 @@ class View:
 
     def _viewed(self, console: Console) -> ViewedField:
         """The field with its encoder; says why no text can be asked, if none can."""
-        from scoup.view.page import page_files
-        from scoup.view.viewed_field import ViewedField
-        from scoup.view.vocabulary import read_words
+        from scoup.view import ViewedField, page_files, read_words
 
         page_files()  # before anything that takes long
         field, page = self.opening.open(self.field, self.common.device), self.page
@@ -105,7 +103,7 @@ class View:
         return viewed
 
     def _export(self, console: Console, out: Path) -> None:
-        from scoup.view.export import export_page
+        from scoup.view import export_page
 
         viewed = self._viewed(console)
         with console.progress() as progress:
@@ -119,8 +117,7 @@ class View:
 
     def _serve(self, console: Console) -> int:
         """Serve until the process is interrupted or terminated: both are the usual end."""
-        from scoup.view.guard import is_loopback
-        from scoup.view.viewer import Viewer
+        from scoup.view import Viewer, is_loopback
 
         viewed, host = self._viewed(console), self.server.host
         try:

@@ -47,7 +47,7 @@ class MakeViews:
 
     def run(self, console: Console) -> None:
         """Choose, render, report."""
-        from scoup.extract.own_views import SHEET
+        from scoup.extract import SHEET
 
         record = self.make(console)
         out = record["scene"]
@@ -59,10 +59,8 @@ class MakeViews:
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
-        from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import load_gaussians, splat_source
-        from scoup.io.camera_sources import find_cameras, has_cameras
-        from scoup.io.splats.axes import turned, turned_direction
+        from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
+        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source, turned, turned_direction
 
         found = splat_source(self.splat)
         source = found.path
@@ -87,7 +85,7 @@ class MakeViews:
 
 def is_splat(path: Path) -> bool:
     """Tell whether a file, by its name, is a splat rather than a scene."""
-    from scoup.io.splats.formats import is_splat_name
+    from scoup.io import is_splat_name
 
     return is_splat_name(path) and not path.is_dir()
 
@@ -95,7 +93,7 @@ def is_splat(path: Path) -> bool:
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
     """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` those that are not
     whole are replaced."""
-    from scoup.extract.own_views import TRANSFORMS
+    from scoup.extract import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():
         again = command("views", splat, "--out", folder, "--overwrite")

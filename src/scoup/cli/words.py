@@ -29,10 +29,15 @@ class MakeWords:
 
     def run(self, console: Console) -> None:
         """Encode and write."""
-        from scoup.models.text import TextEncoder
-        from scoup.models.word_table import check_table_name, is_table, save_table
-        from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-        from scoup.view.vocabulary import read_words
+        from scoup.models import (
+            CANONICAL_PHRASES,
+            EVERYDAY_WORDS,
+            TextEncoder,
+            check_table_name,
+            is_table,
+            save_table,
+        )
+        from scoup.view import read_words
 
         check_table_name(self.out)
         check_output(self.out, self.common.overwrite)

@@ -10,14 +10,25 @@ from torch import Tensor
 
 from scoup.base import InputError, Progress, no_progress
 from scoup.coding.adam import solve_adam
-from scoup.coding.codebook import Codebook, Encoded, Solution
+from scoup.coding.backends import coding_backend
+from scoup.coding.codebook import Codebook, Solution, encode, encode_rows
 from scoup.coding.distinct import value_codes
 from scoup.coding.exact import EFFORTS, solve_exact
-from scoup.coding.report import CodingReport, report_on
-from scoup.scene.codes import SparseCodes, index_dtype
-from scoup.scene.directions import normalise_embeddings
+from scoup.coding.kmeans import spherical_kmeans
+from scoup.coding.report import CodingReport, decoded_cosines, report_on
+from scoup.scene import SparseCodes, index_dtype, normalise_embeddings
 
-__all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
+__all__ = [
+    "Codebook",
+    "CodingReport",
+    "coding_backend",
+    "decoded_cosines",
+    "encode",
+    "encode_rows",
+    "fit_codes",
+    "report_on",
+    "spherical_kmeans",
+]
 
 
 SOLVERS = ("adam", "exact")

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from scoup.base import load_backend
 from scoup.coding.arithmetic import ordered_sum
-from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.scene import SparseCodes, index_dtype
 
 BACKENDS = {
     "native": "scoup.coding.native",

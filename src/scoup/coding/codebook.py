@@ -9,8 +9,7 @@ from torch import Tensor
 from scoup.base import InputError, brief
 from scoup.coding.backends import as_sparse_codes, coding_backend
 from scoup.coding.report import CodingReport, decoded_cosines
-from scoup.scene.codes import SparseCodes
-from scoup.scene.directions import normalise_embeddings
+from scoup.scene import SparseCodes, normalise_embeddings
 
 SWAP_PASSES = 1
 

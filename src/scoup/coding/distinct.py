@@ -13,7 +13,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.scene.codes import SparseCodes, index_dtype, stable_products
+from scoup.scene import SparseCodes, index_dtype, stable_products
 
 SAME = 1e-6  # 1 - cosine up to which two rows are one value
 LEAST_ROWS = 2  # rows of a value, on average, that make values classes

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from scoup.coding.backends import RowCodes
 from scoup.coding.least_squares import DEPENDENT, identity_outside, nonnegative_least_squares
-from scoup.scene.codes import float32_products
+from scoup.scene import float32_products
 
 NO_GAIN = 1e-9  # share of the explained square below which another atom is rounding
 SWAP_GAIN = 1e-6  # share by which a swap must raise the explained square

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import counted
-from scoup.scene.codes import SparseCodes
+from scoup.scene import SparseCodes
 
 LEAST_EXPLAINED = 0.01  # cosine; rows without a code are badly explained whatever was learned
 ROUNDING = 1e-5  # of a cosine, between a fit and the same rows coded again

@@ -1,25 +1,40 @@
-"""From photographs to region maps and embeddings (docs/extract.md): a loop that takes any segmenter and embedder."""
+"""From photographs to regions and their embeddings (docs/extract.md), and views of a splat that has no photographs.
 
-from scoup.extract.interfaces import Embedder, Segmenter
-from scoup.extract.masks import Masks, paint
-from scoup.extract.photograph_choice import choose_photographs
+The loop takes any segmenter and embedder, and chooses the photographs that matter.
+"""
+
+from scoup.extract.concepts import extract_concepts
+from scoup.extract.constants import FEW
+from scoup.extract.masks import Masks
+from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
+from scoup.extract.photograph_choice import choose_photographs, total_wanted
 from scoup.extract.photographs import Photograph, find_photographs
-from scoup.extract.pipeline import ExtractReport, extract
-from scoup.extract.registry import open_embedder, open_segmenter
+from scoup.extract.pipeline import ExtractReport, embed_masks, extract, lacks_views
+from scoup.extract.registry import EMBEDDERS, SEGMENTERS, open_embedder, open_pair, open_segmenter
 from scoup.extract.settings import MaskSettings, mask_settings
 
 __all__ = [
-    "Embedder",
+    "EMBEDDERS",
+    "FEW",
+    "SEGMENTERS",
+    "SHEET",
+    "TRANSFORMS",
     "ExtractReport",
     "MaskSettings",
     "Masks",
     "Photograph",
-    "Segmenter",
+    "choose_cameras",
     "choose_photographs",
+    "embed_masks",
+    "estimated_up",
     "extract",
+    "extract_concepts",
     "find_photographs",
+    "lacks_views",
     "mask_settings",
     "open_embedder",
+    "open_pair",
     "open_segmenter",
-    "paint",
+    "save_views",
+    "total_wanted",
 ]

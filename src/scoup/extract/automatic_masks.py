@@ -17,8 +17,8 @@ from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
 from scoup.extract.settings import MaskSettings
 from scoup.extract.small_parts import without_small_parts
-from scoup.models.sam import EncodedImage, PointModel
-from scoup.scene.regions import LEVELS
+from scoup.models import EncodedImage, PointModel
+from scoup.scene import LEVELS
 
 CHUNK_BYTES = 128 << 20  # of logits at the size of the image in memory at once
 

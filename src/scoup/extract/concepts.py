@@ -13,8 +13,8 @@ from torch import Tensor
 from scoup.base import Part, Progress, ScoupError, no_progress
 from scoup.extract.photographs import Photograph, Pixels, read_ahead
 from scoup.extract.pipeline import MAX_HEIGHT, ExtractReport
-from scoup.io.detections import new_store
-from scoup.models.concepts import ConceptModel
+from scoup.io import new_store
+from scoup.models import ConceptModel
 
 
 def extract_concepts(

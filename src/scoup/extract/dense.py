@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.extract.masks import Masks
-from scoup.models.dense import DenseModel
+from scoup.models import DenseModel
 
 # Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
 # the work grows with the square.

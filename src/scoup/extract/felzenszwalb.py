@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scoup.base import ScoupError
 from scoup.extract.masks import Masks
-from scoup.models.entry import ModelEntry
+from scoup.models import ModelEntry
 
 NAME = "felzenszwalb"
 _REFERENCE = 1_000_000  # pixels of an image for which the scales are meant

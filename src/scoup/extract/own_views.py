@@ -15,12 +15,9 @@ from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
 from scoup.io import load_cameras, save_png, write_transforms
-from scoup.pictures import as_picture, contact_sheet
-from scoup.pictures.sheet import sheet_tile
+from scoup.pictures import as_picture, contact_sheet, sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.up import checked_direction
+from scoup.scene import Camera, Cameras, Gaussians, checked_direction
 
 LEAST_SIDE, MOST_SIDE, MOST_COUNT = 16, 8192, 1000
 TRANSFORMS, IMAGES, SHEET = "transforms.json", "images", "views.png"

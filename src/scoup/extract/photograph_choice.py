@@ -17,15 +17,10 @@ from scoup.extract import constants
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter
 from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
-from scoup.io import load_cameras, load_gaussians, read_points
-from scoup.io.camera_sources import find_cameras
-from scoup.io.scene_parts import find_splat
-from scoup.io.splats.rotation import spread_directions
+from scoup.io import find_cameras, find_splat, load_cameras, load_gaussians, read_points, spread_directions
 from scoup.raster import prepare_gaussians
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import nearest_points
-from scoup.uplift.fit import Verdict, fit_problem, measure_fit
+from scoup.scene import Camera, Gaussians, nearest_points
+from scoup.uplift import Verdict, fit_problem, measure_fit
 
 
 def total_wanted(text: str | None, there: int) -> int | None:

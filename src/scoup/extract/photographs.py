@@ -13,10 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning, file_sha256, worked_ahead
-from scoup.io import camera_photographs
-from scoup.io.camera_images import FACTORS
-from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
-from scoup.io.images import open_image, rgb_image
+from scoup.io import DYNAMIC_MASK, EXTENSIONS, FACTORS, ImageFolder, camera_photographs, open_image, rgb_image
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright

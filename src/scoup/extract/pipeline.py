@@ -18,9 +18,7 @@ from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, Pixels, find_photographs, read_ahead
-from scoup.io.regions.manifest import RegionManifest, read_manifest
-from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import ViewRegions
+from scoup.io import RegionManifest, RegionStore, ViewRegions, read_manifest
 
 MAX_HEIGHT = 1080  # LangSplat's
 BITS = 16  # of a stored embedding number

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.models.entry import ModelEntry
-from scoup.models.text import COLORS
+from scoup.models import COLORS, ModelEntry
 
 NAME = COLORS
 _BINS = 4  # a side of the colour cube

@@ -13,12 +13,20 @@ from scoup.extract.automatic_masks import SamSegmenter
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
-from scoup.io.regions.manifest import read_manifest
-from scoup.models import dense, mobile_sam, sam
-from scoup.models.entry import Device, HubEntry, ModelEntry
-from scoup.models.hub import OPEN_CLIP
-from scoup.models.image import open_image_model
-from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
+from scoup.io import read_manifest
+from scoup.models import (
+    ANY_OPEN_CLIP,
+    GROUP,
+    HUB,
+    OPEN_CLIP,
+    Device,
+    HubEntry,
+    ModelEntry,
+    dense,
+    mobile_sam,
+    open_image_model,
+    sam,
+)
 
 
 def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:

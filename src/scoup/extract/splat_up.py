@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import ScoupWarning
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import Gaussians, rotation_matrices
 
 FLAT = 0.3  # shortest by middle standard deviation, below which a Gaussian lies in a surface
 CONE = math.cos(math.radians(12))  # normals within it face the same way

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.extract import constants
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 
 
 @dataclass(frozen=True, eq=False)

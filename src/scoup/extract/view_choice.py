@@ -13,9 +13,7 @@ from torch.nn.functional import normalize
 from scoup.extract import constants
 from scoup.extract.view_candidates import Matter
 from scoup.raster import PreparedGaussians, project, render_channels
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import Camera, Gaussians, rotation_matrices
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render

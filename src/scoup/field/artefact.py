@@ -16,8 +16,7 @@ from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_
 from scoup.field.field_info import FieldInfo
 from scoup.field.name_table import NameTable
 from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Cameras, Gaussians
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _NAMES = ("presence", "rows", "things", "votes")

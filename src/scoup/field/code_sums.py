@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import native_core, refusals
-from scoup.scene.codes import check_atoms, code_arrays, float32_products, stable_products
+from scoup.scene import check_atoms, code_arrays, float32_products, stable_products
 
 
 def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:

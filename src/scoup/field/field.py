@@ -25,9 +25,7 @@ from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.field.renders import Vectors
 from scoup.field.thing_table import ThingTable
 from scoup.io import load_gaussians
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import rows_of
-from scoup.scene.gaussians import Gaussians, chosen_rows
+from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, rows_of
 
 Value = TypeVar("Value")
 Own = TypeVar("Own", bound="Field")

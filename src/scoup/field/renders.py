@@ -11,9 +11,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError
 from scoup.field.relevancy import FieldCodes, relevancy
-from scoup.scene.cameras import Camera
-from scoup.scene.directions import query_vectors
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians, query_vectors
 
 GAUSSIANS_AT_A_TIME = 65536
 LEAST_ALPHA = 0.5  # of a pixel with a depth

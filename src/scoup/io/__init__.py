@@ -1,54 +1,126 @@
-"""Readers and writers: one module per format; all give and take the dataclasses of ``scene/``."""
+"""Readers and writers of files of others: splats, cameras, photographs, regions; one module per format.
 
-from scoup.base import atomic_file, atomic_path, check_output, write_text
+All take and return the dataclasses of ``scene``. Readers check what a header claims; writers write whole files or
+nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one.
+"""
+
+from scoup.io.camera_images import FACTORS, attach_images
+from scoup.io.camera_sources import camera_format, find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
-from scoup.io.cameras.inria import read_cfg_args
 from scoup.io.cameras.nerfstudio import write_transforms
-from scoup.io.images import load_image, save_label_png, save_png
+from scoup.io.coco import CocoAnnotations
+from scoup.io.describe import describe_cameras, describe_folder, describe_gaussians, describe_unreadable
+from scoup.io.detections import CONCEPTS_FOLDER, detections_of, find_detections, new_store
+from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
+from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_label_png, save_png
+from scoup.io.langsplat_checkpoint import read_langsplat
+from scoup.io.npy import open_npy
+from scoup.io.reading import MAX_IMAGE_SIDE, read_json, read_text
 from scoup.io.regions.convert import convert_regions
+from scoup.io.regions.langsplat_autoencoder import Decoder, read_autoencoder
 from scoup.io.regions.load import load_regions, save_regions
-from scoup.io.scenes import (
-    camera_photographs,
-    load_cameras,
-    load_gaussians,
-    save_gaussians,
+from scoup.io.regions.manifest import RegionManifest, read_manifest
+from scoup.io.regions.store import RegionStore
+from scoup.io.regions.views import FEATURES_FOLDER, ViewRegions
+from scoup.io.scene_parts import find_features, find_splat, usual_features
+from scoup.io.scenes import all_cameras, camera_photographs, load_cameras, load_gaussians, save_gaussians
+from scoup.io.similarity import read_similarity
+from scoup.io.splats.axes import turned, turned_direction
+from scoup.io.splats.formats import (
+    format_of,
+    is_splat_name,
+    other_format,
+    read_endings,
+    splat_source,
+    written_format,
 )
-from scoup.io.splats.formats import splat_source, written_format
+from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
     gaussians_from_table,
     read_ply_table,
+    table_from_gaussians,
     write_ply,
     write_ply_table,
 )
+from scoup.io.splats.rotation import spread_directions
+from scoup.io.splats.usd import UsdThing, write_usd
+from scoup.io.torch_file import load_torch
 
 __all__ = [
+    "ANY_PIXELS",
+    "CONCEPTS_FOLDER",
+    "DYNAMIC_MASK",
+    "EXTENSIONS",
+    "FACTORS",
+    "FEATURES_FOLDER",
+    "MAX_IMAGE_SIDE",
+    "CocoAnnotations",
+    "Decoder",
+    "GaussianFeatures",
+    "ImageFolder",
     "PlyTable",
+    "RegionManifest",
+    "RegionStore",
+    "UsdThing",
+    "ViewRegions",
+    "all_cameras",
     "as_stored",
-    "atomic_file",
-    "atomic_path",
+    "attach_images",
+    "camera_format",
     "camera_photographs",
-    "check_output",
     "convert_regions",
+    "describe_cameras",
+    "describe_folder",
+    "describe_gaussians",
+    "describe_unreadable",
+    "detections_of",
+    "find_cameras",
+    "find_detections",
+    "find_features",
+    "find_splat",
+    "format_of",
     "gaussians_from_table",
+    "has_cameras",
+    "is_splat_name",
     "load_cameras",
     "load_gaussians",
     "load_image",
     "load_regions",
-    "read_cfg_args",
+    "load_torch",
+    "new_store",
+    "open_image",
+    "open_npy",
+    "other_format",
+    "read_autoencoder",
+    "read_endings",
+    "read_json",
+    "read_langsplat",
+    "read_manifest",
+    "read_mask",
     "read_ply_table",
     "read_points",
+    "read_similarity",
+    "read_text",
     "read_tracks",
+    "rgb_image",
     "save_gaussians",
     "save_label_png",
     "save_png",
     "save_regions",
+    "scene_folder",
     "splat_source",
+    "spread_directions",
+    "table_from_gaussians",
+    "turned",
+    "turned_direction",
+    "usual_features",
     "write_colmap",
+    "write_gltf",
     "write_ply",
     "write_ply_table",
-    "write_text",
     "write_transforms",
+    "write_usd",
     "written_format",
 ]

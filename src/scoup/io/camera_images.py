@@ -13,7 +13,7 @@ from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarni
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
 from scoup.io.reading import sorted_cameras
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 MissingImages = Literal["skip", "keep"]
 

@@ -21,7 +21,7 @@ from scoup.io.cameras.training_run import (
     nerfstudio_data,
 )
 from scoup.io.reading import Distorted
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 _SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
 _MOST_FOLDERS = 100  # looked into for scenes

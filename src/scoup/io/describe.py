@@ -17,10 +17,7 @@ from scoup.io.regions.store import RegionStore
 from scoup.io.scene_parts import usual_features
 from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import codes_problem
-from scoup.scene.sanity_checks import sanity_problems
+from scoup.scene import Cameras, Gaussians, codes_problem, sanity_problems
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:

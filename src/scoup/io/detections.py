@@ -22,9 +22,9 @@ from scoup.base import (
 )
 from scoup.io.reading import read_json
 from scoup.io.regions.compact import stem_of
-from scoup.scene.detections import Detections
+from scoup.scene import Detections
 
-FOLDER_NAME = "concepts"
+CONCEPTS_FOLDER = "concepts"
 """Of the folder, inside that of the region features."""
 MANIFEST = "concepts.json"
 SCHEMA = "scoup.concepts"
@@ -128,7 +128,7 @@ class DetectionStore:
 
 def find_detections(features: Path) -> DetectionStore | None:
     """Return the detections beside region features; None if there are none."""
-    folder = features / FOLDER_NAME
+    folder = features / CONCEPTS_FOLDER
     return DetectionStore.open(folder) if (folder / MANIFEST).is_file() else None
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file, refused_read
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs
 ANY_PIXELS = 1 << 25  # that a file of any size may claim

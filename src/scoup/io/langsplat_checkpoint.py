@@ -19,7 +19,7 @@ from torch import Tensor
 from scoup.base import FileFormatError
 from scoup.io.splats.activation import trained_gaussians
 from scoup.io.torch_file import float_tensor, float_tensors, load_torch
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 _WHAT = "a checkpoint of LangSplat or LangSplatV2 (chkpnt<step>.pth, trained with features)"
 _WITHOUT_OBJECTS = "use the chkpnt<step>.pth that the training wrote"

@@ -26,7 +26,7 @@ from scoup.base import (
     existing_file,
     refused_read,
 )
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io.camera_sources import camera_format, find_cameras, scene_folder
-from scoup.io.regions.views import FOLDER_NAME
+from scoup.io.regions.views import FEATURES_FOLDER
 from scoup.io.splats.formats import SplatSource, splat_source
 
 
@@ -48,4 +48,4 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
 
 def usual_features(scene: Path) -> Path:
     """Return the folder in which the region features of a scene are, or will be, unless another one is named."""
-    return scene_folder(scene) / FOLDER_NAME
+    return scene_folder(scene) / FEATURES_FOLDER

@@ -21,8 +21,7 @@ from scoup.io.reading import Distorted
 from scoup.io.splats.axes import turned
 from scoup.io.splats.formats import splat_source, written_format
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Cameras, Gaussians
 
 _COARSE = 0.1  # step of float32 as a share of the median scale, beyond which positions are wrong
 

@@ -1,1 +1,58 @@
-"""What gives embeddings and masks: CLIP, SigLIP, SAM, word tables. Only this room knows transformers and open_clip."""
+"""What gives embeddings and masks: text encoders, image embedders, SAM, open-vocabulary detectors, word tables.
+
+Only this room knows transformers and open_clip, which are loaded when a model is opened. A model is opened by its name,
+and says which text space its embeddings are in.
+"""
+
+from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
+from scoup.models.dense import DenseModel
+from scoup.models.entry import Device, HubEntry, ModelEntry
+from scoup.models.hub import OPEN_CLIP
+from scoup.models.image import open_image_model
+from scoup.models.sam import EncodedImage, PointModel
+from scoup.models.text import (
+    ARTICLES,
+    COLORS,
+    LONGEST,
+    NO_WORDS_FOR_COLORS,
+    Encoder,
+    TextEncoder,
+    check_model,
+    everyday_vocabulary,
+)
+from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
+from scoup.models.word_table import check_table_name, is_table, load_table, save_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
+
+__all__ = [
+    "ANY_OPEN_CLIP",
+    "ARTICLES",
+    "CANONICAL_PHRASES",
+    "COLORS",
+    "CONCEPTS",
+    "EVERYDAY_WORDS",
+    "GROUP",
+    "HUB",
+    "LEAST_WORDS",
+    "LONGEST",
+    "NO_WORDS_FOR_COLORS",
+    "OPEN_CLIP",
+    "ConceptModel",
+    "DenseModel",
+    "Device",
+    "EncodedImage",
+    "Encoder",
+    "HubEntry",
+    "ModelEntry",
+    "PointModel",
+    "TextEncoder",
+    "check_model",
+    "check_table_name",
+    "everyday_vocabulary",
+    "is_table",
+    "load_table",
+    "open_concepts",
+    "open_image_model",
+    "save_table",
+    "with_everyday",
+]

@@ -15,7 +15,7 @@ from scoup.base import Registry, ScoupError
 from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
-from scoup.scene.detections import Detections
+from scoup.scene import Detections
 
 LEAST_SCORE = 0.01  # lower ones are not kept
 SAME_BOX, MOST_BOXES = 0.6, 12

@@ -1,22 +1,35 @@
-"""Pictures of answers, drawn with Pillow alone. All functions take arrays or tensors and give [H, W, 3]
-uint8.
+"""Pictures of answers, drawn with Pillow alone: heat maps, masks, sheets, animations.
+
+All functions take arrays or tensors and return [H, W, 3] uint8.
 """
 
-from scoup.pictures.colors import as_picture, code_basis, code_picture, heat_colors, label_colors
+from scoup.pictures.animation import save_animation
+from scoup.pictures.colors import Picture, as_picture, code_basis, code_picture, label_colors
 from scoup.pictures.legends import heat_legend, swatch_legend
-from scoup.pictures.lettering import captioned, stacked
-from scoup.pictures.overlays import answer_overlay, heat_map, heat_overlay, mask_overlay, region_overlay
+from scoup.pictures.lettering import captioned, font, stacked
+from scoup.pictures.overlays import (
+    answer_overlay,
+    heat_map,
+    heat_overlay,
+    mask_overlay,
+    region_overlay,
+    texts_overlay,
+)
 from scoup.pictures.region_sheet import regions_sheet
-from scoup.pictures.sheet import contact_sheet
+from scoup.pictures.sheet import GAP, contact_sheet, sheet_tile
+from scoup.pictures.video import check_video_writer, save_video
 
 __all__ = [
+    "GAP",
+    "Picture",
     "answer_overlay",
     "as_picture",
     "captioned",
+    "check_video_writer",
     "code_basis",
     "code_picture",
     "contact_sheet",
-    "heat_colors",
+    "font",
     "heat_legend",
     "heat_map",
     "heat_overlay",
@@ -24,6 +37,10 @@ __all__ = [
     "mask_overlay",
     "region_overlay",
     "regions_sheet",
+    "save_animation",
+    "save_video",
+    "sheet_tile",
     "stacked",
     "swatch_legend",
+    "texts_overlay",
 ]

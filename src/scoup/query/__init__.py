@@ -1,1 +1,138 @@
-"""Queries to a language field: where, which pixels, which Gaussians, and whether at all."""
+"""Questions to a field: texts to things and Gaussians, decided once in the scene and drawn in views.
+
+``LanguageField`` has a method for each question; its answers, catalogues, labels, edits and comparisons have writers
+beside them. A question changes nothing.
+"""
+
+from scoup.query.answer import Answer, ExpressionAnswer
+from scoup.query.answer_files import AnswerFiles
+from scoup.query.ask import answers_of, things_of_question
+from scoup.query.boxes import OrientedBox, PointSets
+from scoup.query.catalog_files import catalog_files, draw_things, save_catalog, thing_mask
+from scoup.query.compare import compare
+from scoup.query.compare_files import PAGE, RECORD, save_comparison
+from scoup.query.drawing import (
+    Draw,
+    code_drawing,
+    color_drawing,
+    heat_frames,
+    moving_cameras,
+    placed_atoms,
+    relevancy_drawing,
+)
+from scoup.query.edits import STATE, SplatTable, best_camera, edit_picture, edited
+from scoup.query.expression import Expression, parse_expression
+from scoup.query.field_view import FieldView
+from scoup.query.frame import Frame
+from scoup.query.label_files import label_files, save_label_views, save_labels
+from scoup.query.labels import GaussianLabels, labels_of
+from scoup.query.language_field import LanguageField, build
+from scoup.query.named import Named, find_named
+from scoup.query.phrases import texts_of
+from scoup.query.place import Place, numbered_things
+from scoup.query.presence import (
+    LEAST_GAUSSIANS,
+    Certainty,
+    TextScore,
+    certainty,
+    presence_threshold,
+    text_scores,
+)
+from scoup.query.question import (
+    Question,
+    Several,
+    TextVectors,
+    check_encoder,
+    encode_texts,
+    literal,
+    make_question,
+    near_names,
+    warn_of_another_model,
+)
+from scoup.query.refine import Refined, refine
+from scoup.query.relations import overlaps, related_pairs
+from scoup.query.select import Reshaping
+from scoup.query.thing_index import Shares, ThingIndex, Verdict, compared_words, thing_index
+from scoup.query.thing_names import find_objects, named_things
+from scoup.query.things import Thing, things_of_table
+from scoup.query.view_answer import ViewAnswer, mask_box
+from scoup.query.votes import level_thresholds, select_by_relevancy
+
+__all__ = [
+    "LEAST_GAUSSIANS",
+    "PAGE",
+    "RECORD",
+    "STATE",
+    "Answer",
+    "AnswerFiles",
+    "Certainty",
+    "Draw",
+    "Expression",
+    "ExpressionAnswer",
+    "FieldView",
+    "Frame",
+    "GaussianLabels",
+    "LanguageField",
+    "Named",
+    "OrientedBox",
+    "Place",
+    "PointSets",
+    "Question",
+    "Refined",
+    "Reshaping",
+    "Several",
+    "Shares",
+    "SplatTable",
+    "TextScore",
+    "TextVectors",
+    "Thing",
+    "ThingIndex",
+    "Verdict",
+    "ViewAnswer",
+    "answers_of",
+    "best_camera",
+    "build",
+    "catalog_files",
+    "certainty",
+    "check_encoder",
+    "code_drawing",
+    "color_drawing",
+    "compare",
+    "compared_words",
+    "draw_things",
+    "edit_picture",
+    "edited",
+    "encode_texts",
+    "find_named",
+    "find_objects",
+    "heat_frames",
+    "label_files",
+    "labels_of",
+    "level_thresholds",
+    "literal",
+    "make_question",
+    "mask_box",
+    "moving_cameras",
+    "named_things",
+    "near_names",
+    "numbered_things",
+    "overlaps",
+    "parse_expression",
+    "placed_atoms",
+    "presence_threshold",
+    "refine",
+    "related_pairs",
+    "relevancy_drawing",
+    "save_catalog",
+    "save_comparison",
+    "save_label_views",
+    "save_labels",
+    "select_by_relevancy",
+    "text_scores",
+    "texts_of",
+    "thing_index",
+    "thing_mask",
+    "things_of_question",
+    "things_of_table",
+    "warn_of_another_model",
+]

@@ -13,13 +13,10 @@ from PIL import Image
 from torch import Tensor
 
 from scoup.base import InputError, counted, unique_slugs, write_npz
-from scoup.io import save_png
-from scoup.io.coco import CocoAnnotations
-from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legend, stacked
-from scoup.pictures.colors import Picture
-from scoup.pictures.sheet import GAP
+from scoup.io import CocoAnnotations, save_png
+from scoup.pictures import GAP, Picture, answer_overlay, as_picture, contact_sheet, heat_legend, stacked
 from scoup.query.view_answer import ViewAnswer
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 PICTURES = ("heat", "mask", "overlay")
 COCO = "coco.json"

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.base import brief, rounded_vector
 from scoup.query import constants
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 BINS = 256
 """Per thing and axis, in which quantiles are looked for."""

@@ -16,13 +16,12 @@ from PIL import Image
 
 from scoup.base import InputError, Progress, html, no_progress, write_text
 from scoup.field import Field
-from scoup.pictures import as_picture, mask_overlay
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture, as_picture, mask_overlay
 from scoup.query.catalog import Catalog, catalog_rows
 from scoup.query.field_view import FieldView
 from scoup.query.presence import certainty
 from scoup.query.things import Thing
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pictures"
 MARGIN = 0.35  # around a thing in its picture, in units of its size

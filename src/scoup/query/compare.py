@@ -21,9 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.base import InputError, ScoupWarning
-from scoup.field import Field
-from scoup.field.renders import render_depth
-from scoup.field.thing_table import NO_THING
+from scoup.field import NO_THING, Field, render_depth
 from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.language_field import LanguageField

@@ -11,8 +11,7 @@ from PIL import Image
 
 from scoup.base import Progress, counted, no_progress, write_text
 from scoup.field import Field
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture, as_picture
 from scoup.query.catalog_files import (
     PAGE,
     PICTURES,
@@ -26,7 +25,7 @@ from scoup.query.catalog_files import (
 )
 from scoup.query.compare import KINDS, Array, Change, Comparison, scale_of
 from scoup.query.field_view import FieldView
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 RECORD = "compare.json"
 SIDES = ("old", "new")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.scene.neighbours import linked_parts, nearest_points
+from scoup.scene import linked_parts, nearest_points
 
 NEIGHBOURS = 8
 """Each point is linked to so many of its nearest others."""

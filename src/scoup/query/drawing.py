@@ -15,6 +15,7 @@ from scoup import raster
 from scoup.base import PREVIEW, InputError, card, listed
 from scoup.field import Field
 from scoup.pictures import (
+    Picture,
     as_picture,
     captioned,
     code_basis,
@@ -24,16 +25,13 @@ from scoup.pictures import (
     stacked,
     swatch_legend,
 )
-from scoup.pictures.colors import Picture
 from scoup.query.ask import answers_of
 from scoup.query.edits import best_camera
 from scoup.query.field_view import FieldView
 from scoup.query.paths import camera_path, turntable
 from scoup.query.place import Place
 from scoup.query.question import Question
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import SparseCodes
-from scoup.scene.up import estimate_up
+from scoup.scene import Camera, Cameras, SparseCodes, estimate_up
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
 

@@ -14,13 +14,10 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, counted, spread
 from scoup.field import Field
-from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source
-from scoup.io.splats.ply import table_from_gaussians
-from scoup.pictures import as_picture, contact_sheet, mask_overlay
-from scoup.pictures.colors import Picture
+from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source, table_from_gaussians
+from scoup.pictures import Picture, as_picture, contact_sheet, mask_overlay
 from scoup.query.field_view import FieldView
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Camera, Gaussians
 
 Edit = Literal["keep", "remove", "recolor", "fade"]
 MOST_TRIED = 12  # cameras from which the one that sees most of a selection is chosen

@@ -9,15 +9,21 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field import Field
-from scoup.field.cache import Cache, state_of
-from scoup.field.relevancy import PixelCosines, pixel_relevancy
-from scoup.field.renders import Vectors, checked_vectors, render_codes
+from scoup.field import (
+    Cache,
+    Field,
+    PixelCosines,
+    Vectors,
+    checked_vectors,
+    pixel_relevancy,
+    render_codes,
+    state_of,
+)
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.question import AskedText
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 BYTES_PER_PIXEL = 8
 """A view keeps so many bytes per pixel and level of what its next question reuses."""

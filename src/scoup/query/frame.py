@@ -11,8 +11,7 @@ from torch import Tensor
 
 from scoup.base import brief, rounded_vector
 from scoup.field import Field
-from scoup.scene.cameras import Camera
-from scoup.scene.up import checked_direction, estimate_up
+from scoup.scene import Camera, checked_direction, estimate_up
 
 
 @dataclass(frozen=True, eq=False)

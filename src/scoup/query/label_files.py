@@ -13,19 +13,23 @@ import torch
 
 from scoup.base import Progress, atomic_file, no_progress, spread, unique_slugs, write_text
 from scoup.field import Field
-from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
-from scoup.io.coco import CocoAnnotations
-from scoup.io.splats.usd import UsdThing, write_usd
-from scoup.pictures import label_colors, region_overlay
-from scoup.pictures.colors import Picture
+from scoup.io import (
+    CocoAnnotations,
+    PlyTable,
+    UsdThing,
+    save_label_png,
+    save_png,
+    write_ply,
+    write_ply_table,
+    write_usd,
+)
+from scoup.pictures import Picture, label_colors, region_overlay
 from scoup.query.boxes import PointSets
 from scoup.query.edits import SplatTable, edited
 from scoup.query.field_view import FieldView
 from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, label_map, label_sheet
 from scoup.query.votes import true_rows
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.up import estimate_up
+from scoup.scene import SH_C0, Camera, Gaussians, estimate_up
 
 LabelOutput = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
 SIDECAR = ("labels.npy", "labels.json")
@@ -86,7 +90,7 @@ def save_labels(
     if "colors" in outputs:
         write_ply(labelled_colors(gaussians, labels), folder / COLORS)
     if "glb" in outputs:
-        from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
+        from scoup.io import GaussianFeatures, write_gltf
 
         write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names))
     if "usd" in outputs:

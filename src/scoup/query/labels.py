@@ -11,10 +11,8 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError, UnknownNameError, card
-from scoup.field import Field
-from scoup.field.thing_table import NO_THING
-from scoup.pictures import contact_sheet, stacked, swatch_legend
-from scoup.pictures.colors import Picture, label_colors
+from scoup.field import NO_THING, Field
+from scoup.pictures import Picture, contact_sheet, label_colors, stacked, swatch_legend
 from scoup.query.answer import Answer
 from scoup.query.field_view import FieldView
 

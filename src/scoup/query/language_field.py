@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
 from scoup.base import InputError, MissingFileError, check_arguments
-from scoup.field.field import Field
-from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, Encoder, TextEncoder
+from scoup.field import Field
+from scoup.models import COLORS, NO_WORDS_FOR_COLORS, Encoder, TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.catalog import Catalog, make_catalog
@@ -34,9 +34,8 @@ from scoup.query.relations import relations
 from scoup.query.select import Reshaping, select
 from scoup.query.things import Thing, all_things
 from scoup.query.view_answer import ViewAnswer
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.build import build as uplift_build
+from scoup.scene import Camera, Gaussians
+from scoup.uplift import build as uplift_build
 
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 Parameters = ParamSpec("Parameters")

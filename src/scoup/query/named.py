@@ -16,9 +16,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from scoup.field import Field
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import ThingTable
+from scoup.field import Field, NameTable, ThingTable
 from scoup.query import constants
 from scoup.query.matching import Choice
 from scoup.query.question import Question

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base import InputError, spread
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 MOST_STOPS = 40  # cameras that a path leads through
 

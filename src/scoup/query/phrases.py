@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from scoup.base import InputError
-from scoup.models.text import ARTICLES
+from scoup.models import ARTICLES
 
 RELATIONS: dict[str, tuple[str, ...]] = {
     "left of": ("to the left of", "on the left of", "left of"),

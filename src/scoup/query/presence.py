@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, counted
-from scoup.field.content import LEAST_GAUSSIANS
-from scoup.models.words import LEAST_WORDS
+from scoup.field import LEAST_GAUSSIANS
+from scoup.models import LEAST_WORDS
 from scoup.query import constants
 
 if TYPE_CHECKING:

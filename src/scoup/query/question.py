@@ -13,15 +13,20 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
-from scoup.field import Field
-from scoup.field.name_table import number_of
-from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
-from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.field import Field, number_of
+from scoup.models import (
+    CANONICAL_PHRASES,
+    COLORS,
+    LEAST_WORDS,
+    NO_WORDS_FOR_COLORS,
+    TextEncoder,
+    everyday_vocabulary,
+    with_everyday,
+)
 from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import check_share, presence_threshold
-from scoup.scene.directions import query_vectors
-from scoup.scene.regions import LEAST_EMBEDDING
+from scoup.scene import LEAST_EMBEDDING, query_vectors
 
 if TYPE_CHECKING:
     from scoup.query.frame import Frame

@@ -18,17 +18,15 @@ from torch import Tensor
 
 from scoup.base import InputError, check_arguments
 from scoup.field import Field
-from scoup.io import load_image
-from scoup.io.camera_images import attach_images
-from scoup.models.concepts import ConceptModel, open_concepts
+from scoup.io import attach_images, load_image
+from scoup.models import ConceptModel, open_concepts
 from scoup.query import constants
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
 from scoup.query.question import literal
 from scoup.query.thing_index import thing_index
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.detections import Detections
-from scoup.uplift.naming import name_things
+from scoup.scene import Camera, Cameras, Detections
+from scoup.uplift import name_things
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ from scoup.query.answer import ExpressionAnswer, answer_relevancy
 from scoup.query.ask import one_answer
 from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS, connected_parts
 from scoup.query.question import Question
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import nearest_points
+from scoup.scene import Gaussians, nearest_points
 
 MOST_STEPS = 1000
 

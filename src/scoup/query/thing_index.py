@@ -23,8 +23,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from scoup.field import Field
-from scoup.field.thing_table import NO_THING, ThingTable
+from scoup.field import NO_THING, Field, ThingTable
 from scoup.query import constants
 from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things

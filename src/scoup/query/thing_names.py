@@ -15,8 +15,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from scoup.field import Field
-from scoup.field.thing_table import ThingTable
+from scoup.field import Field, ThingTable
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.named import less_common, voted_names

@@ -24,7 +24,7 @@ from scoup.query.question import Question
 from scoup.query.thing_index import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
-from scoup.scene.up import estimate_up
+from scoup.scene import estimate_up
 
 MOST_LINKED = 8192
 """Of more points than these, the cells of a grid are linked instead."""

@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base import InputError, card, rounded_vector
-from scoup.field import Field
-from scoup.field.renders import render_depth
+from scoup.field import Field, render_depth
 from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query import constants
 from scoup.query.answer import Answer
 from scoup.raster import Projection, render_colors
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -20,11 +20,10 @@ import torch
 from torch import Tensor
 
 from scoup.base import brief, native_core
-from scoup.field import Field
-from scoup.field.relevancy import FieldCodes, GaussianCosines
+from scoup.field import Field, FieldCodes, GaussianCosines
 from scoup.query import constants
 from scoup.query.question import Question
-from scoup.scene.codes import rows_of
+from scoup.scene import rows_of
 
 BINS = 100
 MOST_TEXTS, MOST_BYTES = 16, 192 << 20

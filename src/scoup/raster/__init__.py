@@ -23,6 +23,7 @@ from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_ba
 from scoup.raster.colors import view_colors as view_colors
 from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
+from scoup.raster.decoding import cosines_from_codes as cosines_from_codes
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME
 from scoup.raster.ordering import morton_codes as morton_codes
@@ -33,8 +34,8 @@ from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceProjection
 from scoup.raster.view_sums import ViewSums as ViewSums
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.raster.view_sums import merge as merge
+from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
     from scoup.raster.triton.projection import TritonProjection

@@ -5,9 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.harmonics import sh_basis
+from scoup.scene import SH_C0, Camera, Gaussians, sh_basis
 
 
 def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:

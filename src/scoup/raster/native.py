@@ -16,9 +16,7 @@ from scoup.base import MOST_ROWS_IN_MEMORY, refusals, require_core
 from scoup.raster.combinations import CombinedLabels
 from scoup.raster.decoding import decoded
 from scoup.raster.presets import RasterPreset
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, code_arrays, index_dtype, stable_products
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians, check_atoms, code_arrays, index_dtype, stable_products
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import Camera, Gaussians, rotation_matrices
 
 
 @dataclass(frozen=True, eq=False)

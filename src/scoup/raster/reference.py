@@ -19,9 +19,7 @@ from scoup.raster.decoding import cosines_and_norms, decoded
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, rows_of
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians, check_atoms, rows_of
 
 PREPARES = False  # the order of the rows makes no difference to the speed
 TILE = 16  # edge of a tile in pixels

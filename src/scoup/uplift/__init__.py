@@ -1,12 +1,55 @@
-"""Sparse code uplifting: region sums of all views, made once, and the algebra on them (method.md, stage 2).
+"""The method: from region embeddings and a splat to codes, things and a field.
 
-Read the method in this order:
-
-* ``rasterise``: ``region_sums`` rasterises every view once and keeps what each Gaussian contributes to each region;
-* ``region_codes``: the embeddings of the regions become sparse codes;
-* ``vote``, ``reweighting``: sums and codes of the regions become a code per Gaussian, in one round or several;
-* ``things``, ``merging``: regions of many views that the same Gaussians contribute to become one instance;
-* ``build``: all of these steps, from a splat, cameras and regions to a language field.
-
-``RegionSums`` (``region_sums``) is what they share; ``storage`` is how it is kept.
+Each stage is a function: ``code_regions``, ``region_sums``, ``find_things``, ``vote``, ``pack``; ``build`` calls them
+in this order. Region sums are files in one folder, so that views can be shared out and added.
 """
+
+from scoup.uplift.build import build, check_scene, pack
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
+from scoup.uplift.fit import Verdict, fit_problem, measure_fit
+from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
+from scoup.uplift.naming import name_field, name_things
+from scoup.uplift.provenance import FieldSources, embedding_source
+from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
+from scoup.uplift.region_codes import RegionEmbeddings, code_regions
+from scoup.uplift.region_sums import RegionSums, Rows
+from scoup.uplift.storage.array_file import ENDING, SCENE, stored_bytes, view_files
+from scoup.uplift.things import find_things
+from scoup.uplift.transfer import transfer
+from scoup.uplift.vote import GaussianCodes, vote
+
+__all__ = [
+    "BUILD_PRESETS",
+    "ENDING",
+    "SCENE",
+    "BuildSettings",
+    "FieldSources",
+    "GaussianCodes",
+    "RegionEmbeddings",
+    "RegionSums",
+    "Rows",
+    "Verdict",
+    "add_views",
+    "build",
+    "build_settings",
+    "cameras_with_regions",
+    "check_scene",
+    "code_regions",
+    "embedding_source",
+    "field_from_features",
+    "field_from_langsplat",
+    "find_things",
+    "fit_problem",
+    "langsplat_levels",
+    "measure_fit",
+    "name_field",
+    "name_things",
+    "open_sums",
+    "pack",
+    "read_features",
+    "region_sums",
+    "stored_bytes",
+    "transfer",
+    "view_files",
+    "vote",
+]

@@ -8,13 +8,8 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, release_memory, temporary_folder
-from scoup.field import Field
-from scoup.field.field_info import FieldInfo
-from scoup.field.thing_table import ThingTable
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.scene.sanity_checks import sanity_problems
+from scoup.field import Field, FieldInfo, ThingTable
+from scoup.scene import Cameras, Gaussians, Regions, sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model

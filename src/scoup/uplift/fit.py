@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, listed, share_of, verb
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from scoup.uplift.similarity import (
     LEAST_COVERED,
     Array,

@@ -13,19 +13,10 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base import VERSION, FileFormatError, InputError, Progress, no_progress, scratch_array
-from scoup.coding import fit_codes
-from scoup.coding.codebook import encode
-from scoup.coding.report import decoded_cosines
-from scoup.field import Field
-from scoup.field.field_info import FieldInfo
-from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.npy import open_npy
-from scoup.io.regions.langsplat_autoencoder import Decoder
-from scoup.io.torch_file import load_torch
-from scoup.scene.codes import SparseCodes, index_dtype
-from scoup.scene.directions import normalise_embeddings
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import LEAST_EMBEDDING
+from scoup.coding import decoded_cosines, encode, fit_codes
+from scoup.field import Field, FieldInfo
+from scoup.io import Decoder, load_torch, open_npy, read_langsplat
+from scoup.scene import LEAST_EMBEDDING, Gaussians, SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift.provenance import recorded_model
 
 LEARNED_FROM = 16_384  # rows from which a codebook is learned

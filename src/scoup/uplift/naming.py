@@ -15,15 +15,12 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import ThingTable
-from scoup.scene.cameras import Camera
-from scoup.scene.detections import Detections
-from scoup.scene.gaussians import Gaussians
+from scoup.field import NameTable, ThingTable
+from scoup.scene import Camera, Detections, Gaussians
 from scoup.uplift import constants
 
 if TYPE_CHECKING:
-    from scoup.field.field import Own
+    from scoup.field import Own
 
 AT_A_TIME = 64  # things that are rendered together
 

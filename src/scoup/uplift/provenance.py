@@ -12,10 +12,9 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base import VERSION, InputError
-from scoup.io.regions.manifest import read_manifest
-from scoup.models.text import check_model
-from scoup.models.word_table import is_table, load_table
-from scoup.scene.regions import Regions
+from scoup.io import read_manifest
+from scoup.models import check_model, is_table, load_table
+from scoup.scene import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import FoundThings

@@ -23,9 +23,7 @@ from scoup.base import (
     worked_ahead,
 )
 from scoup.raster import CombinedLabels, ViewSums
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
+from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import constants
 from scoup.uplift.build_settings import BuildSettings, Scale, build_settings
 from scoup.uplift.region_sums import RegionSums

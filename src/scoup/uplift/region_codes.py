@@ -13,13 +13,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import VERSION, InputError, Progress, ScoupWarning, listed, no_progress
-from scoup.coding import CodingReport, fit_codes
-from scoup.coding.codebook import encode_rows
-from scoup.coding.report import report_on
-from scoup.scene.cameras import Cameras
-from scoup.scene.codes import SparseCodes
-from scoup.scene.directions import normalise_embeddings
-from scoup.scene.regions import Regions, codes_problem
+from scoup.coding import CodingReport, encode_rows, fit_codes, report_on
+from scoup.scene import Cameras, Regions, SparseCodes, codes_problem, normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.region_sums import Rows
 

@@ -31,8 +31,7 @@ from scoup.base import (
     flush_to_disk,
 )
 from scoup.raster import ViewSums, morton_order
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from scoup.uplift.build_settings import Scale, check_scale
 from scoup.uplift.storage.array_file import (
     ENDING,

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from scoup import raster
 from scoup.base import ScoupError
-from scoup.io.images import load_image
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.io import load_image
+from scoup.scene import SH_C0, Camera, Gaussians
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import InputError, Progress, no_progress, spread
-from scoup.field.checks import MOST_THINGS
-from scoup.field.thing_table import NO_THING, ThingTable
-from scoup.scene.codes import SparseCodes, index_dtype
-from scoup.scene.directions import normalise_embeddings
+from scoup.field import MOST_THINGS, NO_THING, ThingTable
+from scoup.scene import SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift import constants
 from scoup.uplift.merging import Matrix, merge_regions
 from scoup.uplift.region_sums import RegionSums

@@ -10,10 +10,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, check_arguments
-from scoup.field.field import Field, Own
-from scoup.field.thing_table import NO_THING
-from scoup.scene.codes import signed
-from scoup.scene.gaussians import Gaussians
+from scoup.field import NO_THING, Field, Own
+from scoup.scene import Gaussians, signed
 from scoup.uplift import constants
 
 

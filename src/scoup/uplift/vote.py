@@ -17,7 +17,7 @@ from torch import Tensor
 
 from scoup.base import InputError, Progress, load_backend, no_progress, spread
 from scoup.raster import restored
-from scoup.scene.codes import SparseCodes, index_dtype, signed, stable_products
+from scoup.scene import SparseCodes, index_dtype, signed, stable_products
 from scoup.uplift import constants
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound, scene_sharpness

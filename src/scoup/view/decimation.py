@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.raster import morton_codes
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.rotations import quats_of_rotations
+from scoup.scene import SH_C0, Gaussians, quats_of_rotations
 
 MOST_GAUSSIANS = 1_000_000
 """A page shows so many, unless another number is asked for."""

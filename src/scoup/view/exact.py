@@ -10,18 +10,10 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError, counted
-from scoup.field import Field
-from scoup.field.relevancy import relevancy
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
-from scoup.pictures.overlays import heat_overlay, texts_overlay
-from scoup.query.answer import Answer
-from scoup.query.boxes import PointSets
-from scoup.query.drawing import code_drawing
-from scoup.query.field_view import FieldView
-from scoup.query.question import TextVectors
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import signed
+from scoup.field import Field, relevancy
+from scoup.pictures import Picture, as_picture, heat_overlay, texts_overlay
+from scoup.query import Answer, FieldView, PointSets, TextVectors, code_drawing
+from scoup.scene import Camera, signed
 
 Colors: TypeAlias = Sequence[tuple[float, float, float]]
 PictureMode = Literal["color", "heat", "mask", "codes"]

@@ -11,9 +11,17 @@ from typing import Any
 
 from PIL import Image
 
-from scoup.base import Progress, check_outputs, no_progress, remove, reported, staged
-from scoup.io import atomic_path, check_output
-from scoup.pictures.colors import Picture
+from scoup.base import (
+    Progress,
+    atomic_path,
+    check_output,
+    check_outputs,
+    no_progress,
+    remove,
+    reported,
+    staged,
+)
+from scoup.pictures import Picture
 from scoup.view.page import page_files, script_text
 from scoup.view.scene_answers import scene_answers
 from scoup.view.viewed_field import ViewedField

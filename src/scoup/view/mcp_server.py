@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image as Pictures
 
 from scoup.base import VERSION, ScoupError
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture
 from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (

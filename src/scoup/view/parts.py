@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.raster import morton_codes
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from scoup.view.decimation import PageGaussians, cover, decimate, drawable
 
 PART_GAUSSIANS = 250_000

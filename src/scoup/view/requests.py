@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from scoup.base import InputError
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from scoup.view.exact import LARGEST_SIDE
 
 MOST_TEXTS = 8

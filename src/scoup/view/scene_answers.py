@@ -11,10 +11,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.field import Field
-from scoup.query.answer import ExpressionAnswer
-from scoup.query.ask import answers_of
-from scoup.query.question import Question
-from scoup.query.votes import level_thresholds
+from scoup.query import ExpressionAnswer, Question, answers_of, level_thresholds
 from scoup.view.unit_codes import atom_scores
 
 _AT_A_TIME = 16  # texts whose Gaussians are in memory together

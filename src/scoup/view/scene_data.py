@@ -29,14 +29,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.field import Field
-from scoup.field.thing_table import NO_THING
-from scoup.pictures.colors import code_basis
-from scoup.query.drawing import placed_atoms
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import SparseCodes, signed
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.up import estimate_up
+from scoup.field import NO_THING, Field
+from scoup.pictures import code_basis
+from scoup.query import placed_atoms
+from scoup.scene import SH_C0, Camera, Cameras, Gaussians, SparseCodes, estimate_up, signed
 from scoup.view.decimation import PageGaussians
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
 from scoup.view.unit_codes import UnitCodes

@@ -13,16 +13,19 @@ import numpy as np
 
 from scoup.base import InputError, OutputExistsError, ScoupError, looked_up
 from scoup.io import save_gaussians
-from scoup.models.text import LONGEST
-from scoup.pictures import as_picture, mask_overlay
-from scoup.pictures.colors import Picture
-from scoup.query.catalog_files import thing_mask
-from scoup.query.language_field import LanguageField
-from scoup.query.presence import certainty
-from scoup.query.relations import overlaps, related_pairs
-from scoup.query.thing_names import find_objects, named_things
-from scoup.query.things import Thing
-from scoup.scene.cameras import Cameras
+from scoup.models import LONGEST
+from scoup.pictures import Picture, as_picture, mask_overlay
+from scoup.query import (
+    LanguageField,
+    Thing,
+    certainty,
+    find_objects,
+    named_things,
+    overlaps,
+    related_pairs,
+    thing_mask,
+)
+from scoup.scene import Cameras
 
 MOST_LISTED = 200
 """Things in one reply."""
@@ -257,7 +260,7 @@ def _numbered(picture: Picture, mask: np.ndarray, text: str, color: tuple[int, i
     """Write a number in the middle of a mask [H, W]."""
     from PIL import Image, ImageDraw
 
-    from scoup.pictures.lettering import font
+    from scoup.pictures import font
 
     rows, columns = np.nonzero(mask)
     image = Image.fromarray(picture)

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from scoup.base import ScoupError, UnknownNameError
-from scoup.field.cache import Cache
+from scoup.field import Cache
 from scoup.io import write_ply_table
 from scoup.view.connections import PART
 from scoup.view.export import jpeg

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.field import Field
-from scoup.field.code_sums import inverse_code_norms
-from scoup.scene.codes import rows_of
+from scoup.field import Field, inverse_code_norms
+from scoup.scene import rows_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,16 +14,10 @@ import torch
 
 from scoup.base import InputError, ScoupError
 from scoup.io import PlyTable
-from scoup.models.word_table import is_table
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
-from scoup.query.answer import Answer
-from scoup.query.edits import SplatTable
-from scoup.query.field_view import FieldView
-from scoup.query.language_field import LanguageField
-from scoup.query.question import Question
-from scoup.query.thing_names import named_things
-from scoup.scene.cameras import Camera
+from scoup.models import is_table
+from scoup.pictures import Picture, as_picture
+from scoup.query import Answer, FieldView, LanguageField, Question, SplatTable, named_things
+from scoup.scene import Camera
 from scoup.view import parts
 from scoup.view.decimation import MOST_GAUSSIANS, decimate
 from scoup.view.exact import Colors, PictureMode, draw_picture, what_is_at

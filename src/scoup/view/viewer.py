@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base import InputError, ScoupError, html
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard
 from scoup.view.page import page_files

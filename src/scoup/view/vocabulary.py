@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from scoup.base import InputError, existing_file
 from scoup.field import Field
-from scoup.io.reading import read_text
-from scoup.query.presence import Certainty
+from scoup.io import read_text
+from scoup.query import Certainty
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer
 from scoup.view.scene_data import NO_OWNER

@@ -30,7 +30,7 @@ import torch
 from torch import Tensor, nn
 
 from scoup.base import InputError, Progress, no_progress
-from scoup.scene.directions import normalise_embeddings
+from scoup.scene import normalise_embeddings
 
 COSINE_WEIGHT = 1e-3
 KEPT_OF_LAST = 4  # epochs

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift import RegionSums
 from scoup_lab.baselines.fitted import FittedChannels, embedding_cosines
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.rasterised_scene import UpliftInputs

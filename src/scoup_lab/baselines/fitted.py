@@ -15,12 +15,9 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field import Field
-from scoup.field.field_info import FieldInfo
-from scoup.field.relevancy import relevancy
-from scoup.field.thing_table import ThingTable
-from scoup.raster.decoding import cosines_from_codes
-from scoup.uplift.region_sums import RegionSums
+from scoup.field import Field, FieldInfo, ThingTable, relevancy
+from scoup.raster import cosines_from_codes
+from scoup.uplift import RegionSums
 
 ROWS_AT_A_TIME = 1 << 15  # pixels or Gaussians compared together
 

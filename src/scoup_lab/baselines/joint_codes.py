@@ -31,11 +31,9 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, Progress, no_progress
-from scoup.coding.backends import coding_backend
-from scoup.coding.kmeans import spherical_kmeans
-from scoup.scene.codes import index_dtype
-from scoup.scene.directions import normalise_embeddings
-from scoup.uplift.region_sums import Rows
+from scoup.coding import coding_backend, spherical_kmeans
+from scoup.scene import index_dtype, normalise_embeddings
+from scoup.uplift import Rows
 from scoup_lab.baselines.view_weights import ViewWeights, rendered
 
 _EPSILON = 1e-15  # of Adam, as in their code

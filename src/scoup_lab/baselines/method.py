@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from scoup.base import Entry, Progress, no_progress
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
+from scoup.uplift import BUILD_PRESETS, BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.joint_codes import LANGSPLATV2, JointSettings

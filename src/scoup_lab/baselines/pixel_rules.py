@@ -21,13 +21,9 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError
-from scoup.raster.view_sums import ViewSums, merge
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import cameras_with_regions, region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.raster import ViewSums, merge
+from scoup.scene import Camera, Cameras, Gaussians, Regions
+from scoup.uplift import BuildSettings, RegionSums, cameras_with_regions, region_sums
 
 PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussian and a pixel at most
 

@@ -11,14 +11,9 @@ import torch
 from torch import Tensor
 
 from scoup.coding import fit_codes
-from scoup.field.thing_table import ThingTable
-from scoup.scene.cameras import Cameras
-from scoup.scene.codes import SparseCodes
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.things import find_things
+from scoup.field import ThingTable
+from scoup.scene import Cameras, Gaussians, Regions, SparseCodes
+from scoup.uplift import BuildSettings, RegionSums, find_things
 from scoup_lab.baselines.pixel_rules import ALL_PIXELS, PixelRule
 
 Codes = tuple[list[SparseCodes], Tensor]

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.vote import GaussianCodes, vote
+from scoup.uplift import BuildSettings, GaussianCodes, vote
 from scoup_lab.baselines.fitted import FittedField, fitted_field
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.rasterised_scene import UpliftInputs

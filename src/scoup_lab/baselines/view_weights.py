@@ -18,7 +18,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError
-from scoup.uplift.rasterise import cameras_with_regions
+from scoup.uplift import cameras_with_regions
 from scoup_lab.baselines.pixel_rules import PixelWeights, pixel_weights
 
 if TYPE_CHECKING:

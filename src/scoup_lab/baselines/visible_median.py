@@ -16,8 +16,8 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.scene.directions import normalise_embeddings
-from scoup.uplift.region_sums import RegionSums
+from scoup.scene import normalise_embeddings
+from scoup.uplift import RegionSums
 from scoup_lab.baselines.dense import fitted_embeddings
 from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.method import MethodSettings

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scoup.io import write_text
+from scoup.base import write_text
 
 
 def milliseconds(seconds: float) -> str:

@@ -13,11 +13,8 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, ScoupError, serves
 from scoup.raster import morton_order
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import SparseCodes
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.vote import GaussianCodes, vote
+from scoup.scene import Camera, Gaussians, SparseCodes
+from scoup.uplift import GaussianCodes, RegionSums, vote
 from scoup_lab.synthetic.random_scene import (
     HEIGHT,
     REGIONS,

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scoup.base import counted, staged
-from scoup.cli.console import Console, command
-from scoup.cli.options import WritesCommon
+from scoup.cli import Console, WritesCommon, command
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.demonstration import DemoResult
@@ -42,9 +41,9 @@ class Demo:
         """Run, draw, print."""
         import json
 
-        from scoup.io import save_png, write_text
-        from scoup.view.export import export_page
-        from scoup.view.viewed_field import ViewedField
+        from scoup.base import write_text
+        from scoup.io import save_png
+        from scoup.view import ViewedField, export_page
         from scoup_lab.evaluate.demonstration import run_demo
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
@@ -76,7 +75,7 @@ class Demo:
 def _page_problem() -> str:
     """Return why no page can be written; empty if it can."""
     from scoup.base import ScoupError
-    from scoup.view.page import page_files
+    from scoup.view import page_files
 
     try:
         page_files()
@@ -111,7 +110,7 @@ def _record(result: DemoResult, field: Path, out: Path) -> dict[str, Any]:
 
 def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) -> None:
     """Print the scores of each name and their means, the size of the field and the seconds of each stage."""
-    from scoup.field.part_sizes import part_sizes
+    from scoup.field import part_sizes
     from scoup_lab.bench import markdown
     from scoup_lab.evaluate.demonstration import rows_by_name
 

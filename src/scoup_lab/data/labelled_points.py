@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import FileFormatError, existing_file, listed
-from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
+from scoup.io import PlyTable, read_ply_table, write_ply_table
 
 _MAX_LABEL = 1 << 31
 

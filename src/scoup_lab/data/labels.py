@@ -22,9 +22,8 @@ from scoup.base import (
     counted,
     listed,
 )
-from scoup.io.reading import MAX_IMAGE_SIDE, read_json
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.regions import resize_labels
+from scoup.io import MAX_IMAGE_SIDE, read_json
+from scoup.scene import Camera, Cameras, resize_labels
 
 _FAR = 1e6  # coordinates beyond this are damage, and more than the polygon painter can take
 _MOST_PAINTED, _MOST_KEPT = 1 << 33, 1 << 28  # pixels, of all objects and of all categories

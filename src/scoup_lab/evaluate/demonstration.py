@@ -12,10 +12,8 @@ import torch
 
 from scoup.base import Progress, no_progress
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query.language_field import LanguageField, build
-from scoup.query.question import Question, TextVectors
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.provenance import FieldSources
+from scoup.query import LanguageField, Question, TextVectors, build
+from scoup.uplift import BuildSettings, FieldSources
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.metrics import any_inside, iou
 from scoup_lab.evaluate.scores import PairScore, SceneScore

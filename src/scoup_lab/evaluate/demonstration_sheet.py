@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.pictures import contact_sheet, heat_map, mask_overlay
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture, contact_sheet, heat_map, mask_overlay
 from scoup_lab.evaluate.demonstration import DemoResult, question_of, rows_by_name
 from scoup_lab.evaluate.failures import TRUTH_COLOR
 from scoup_lab.evaluate.scores import PairScore

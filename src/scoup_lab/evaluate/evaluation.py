@@ -10,12 +10,9 @@ from typing import Any, Generic, TypeVar
 
 from scoup.base import InputError, Progress, no_progress, reserved_output
 from scoup.io import load_gaussians, load_regions, splat_source
-from scoup.query.language_field import LanguageField
-from scoup.scene.gaussians import Gaussians
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.provenance import FieldSources, embedding_source
-from scoup.uplift.rasterise import open_sums
+from scoup.query import LanguageField
+from scoup.scene import Gaussians
+from scoup.uplift import BuildSettings, FieldSources, build, embedding_source, open_sums
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scenes import SceneFiles
 

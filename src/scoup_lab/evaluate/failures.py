@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from scoup.pictures import contact_sheet, heat_map, mask_overlay
-from scoup.pictures.colors import Picture
-from scoup.query.language_field import LanguageField
+from scoup.pictures import Picture, contact_sheet, heat_map, mask_overlay
+from scoup.query import LanguageField
 from scoup.raster import render_colors
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.relevancy_maps import localize, segment

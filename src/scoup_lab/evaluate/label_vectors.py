@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scoup.base import InputError, UnknownNameError
-from scoup.models.text import TextEncoder
-from scoup.query.question import TextVectors
+from scoup.models import TextEncoder
+from scoup.query import TextVectors
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scenes import SceneFiles
 

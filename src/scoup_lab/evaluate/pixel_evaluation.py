@@ -11,8 +11,7 @@ from torch import Tensor
 
 from scoup.base import Progress, no_progress
 from scoup.io import save_png
-from scoup.query.language_field import LanguageField
-from scoup.query.question import TextVectors
+from scoup.query import LanguageField, TextVectors
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from scoup.base import Progress, no_progress
 from scoup.io import load_gaussians, load_regions
-from scoup.query.question import TextVectors
-from scoup.scene.gaussians import Gaussians
+from scoup.query import TextVectors
+from scoup.scene import Gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.rasterised_scene import RasterisedScene

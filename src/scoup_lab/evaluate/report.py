@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base import atomic_file, check_outputs, staged
-from scoup.io import check_output
+from scoup.base import atomic_file, check_output, check_outputs, staged
 from scoup_lab.bench.report import record_text
 from scoup_lab.evaluate.tables import Table
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scoup.base import MissingFileError, UnknownNameError
-from scoup.io import load_cameras, splat_source
-from scoup.io.regions.views import FOLDER_NAME
-from scoup.scene.cameras import Cameras
+from scoup.io import FEATURES_FOLDER, load_cameras, splat_source
+from scoup.scene import Cameras
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class Places:
         except MissingFileError as error:
             remedy = 'pass gaussians, for example "splats/{scene}/point_cloud.ply"'
             raise MissingFileError(error.path, error.problem, remedy) from error
-        features = _placed(self.features, name) or folder / FOLDER_NAME
+        features = _placed(self.features, name) or folder / FEATURES_FOLDER
         if not features.is_dir():
             problem = "there is no such folder (expected region features)"
             raise MissingFileError(features, problem, 'pass features, for example "f/{scene}"')

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import InputError, OutputExistsError, Progress, looked_up, no_progress, staged
-from scoup.io import save_png, write_text
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.regions import Regions
+from scoup.base import InputError, OutputExistsError, Progress, looked_up, no_progress, staged, write_text
+from scoup.io import save_png
+from scoup.scene import Camera, Cameras, Regions
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE
 from scoup_lab.synthetic.folder import label_file, picture_of, write_scene

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene import LEVELS, RegionMap, Regions
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Parts
 from scoup_lab.synthetic.masks import Mask, components, grown, shrunk

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.io.splats.ply import as_stored
+from scoup.io import as_stored
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints, write_labelled_ply
 from scoup_lab.synthetic.scene import DemoScene, with_texts
 from scoup_lab.synthetic.words import TEXT_MEAN, unit

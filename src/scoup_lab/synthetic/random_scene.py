@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene import LEVELS, SH_C0, Camera, Cameras, Gaussians, RegionMap, Regions, index_dtype
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -15,10 +15,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, UnknownNameError
-from scoup.query.view_answer import mask_box
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import LEVELS, Regions
+from scoup.query import mask_box
+from scoup.scene import LEVELS, Cameras, Gaussians, Regions
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 from scoup_lab.synthetic.art.lighting import Light, lit
 from scoup_lab.synthetic.art.meshes import Floats, Ints, Mesh, merged
 from scoup_lab.synthetic.art.things import Parts, Piece, Thing

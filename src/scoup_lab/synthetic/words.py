@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Parts
 

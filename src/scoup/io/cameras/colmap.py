@@ -14,8 +14,7 @@ from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
-from scoup.scene.cameras import Cameras
-from scoup.scene.rotations import quats_of_rotations, rotation_matrices
+from scoup.scene import Cameras, quats_of_rotations, rotation_matrices
 
 _FILES = ("cameras", "images")
 _PARSERS = {".bin": colmap_binary, ".txt": colmap_text}

@@ -9,7 +9,7 @@ import numpy as np
 
 from scoup.base import FileFormatError
 from scoup.io.cameras.colmap import read_points
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 _UP = np.array([0.0, -1.0, 0.0])
 _TURNS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])

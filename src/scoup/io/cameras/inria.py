@@ -19,7 +19,7 @@ from scoup.io.reading import (
     read_text,
     sorted_cameras,
 )
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 CAMERAS_JSON = (
     "cameras of nerfstudio (an object with a list of frames) or of Inria's code (a list of cameras)"

@@ -18,7 +18,7 @@ from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
 from scoup.io.images import image_size
 from scoup.io.reading import MAX_IMAGE_SIDE, Distorted, make_camera, read_json, sorted_cameras
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 
 _REMEDY = (
     "a JSON object is read as nerfstudio's transforms.json, with a list of frames that each have a file_path; Inria's "

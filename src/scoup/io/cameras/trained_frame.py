@@ -9,7 +9,7 @@ import numpy as np
 
 from scoup.base import FileFormatError, InputError, JsonNode
 from scoup.io.reading import is_orthogonal, read_json
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 TRAINED_FRAME = "dataparser_transforms.json"
 _WHAT = f"nerfstudio's {TRAINED_FRAME}"

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 
 
 def photograph_pixels(camera: Camera, width: int, height: int) -> Tensor:

@@ -11,7 +11,7 @@ from scoup.io.regions import compact, langsplat
 from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.regions.manifest import MANIFEST, RegionManifest
 from scoup.io.regions.store import RegionStore, read_view, staged_store
-from scoup.io.regions.views import FOLDER_NAME
+from scoup.io.regions.views import FEATURES_FOLDER
 
 
 @dataclass(frozen=True)
@@ -87,5 +87,5 @@ def _check_target(target: Path) -> None:
     if foreign := sorted(set(islice(shown, 1000))):
         raise InputError(
             f"{target}: contains other files than region features ({listed(foreign)}); use a folder for them alone, "
-            f"such as {target / FOLDER_NAME}"
+            f"such as {target / FEATURES_FOLDER}"
         )

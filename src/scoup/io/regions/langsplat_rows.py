@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scoup.base import FileFormatError, counted
 from scoup.io.regions.views import REMEDY
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 
 FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 

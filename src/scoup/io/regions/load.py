@@ -24,8 +24,7 @@ from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore, StoredView, staged_store
 from scoup.io.regions.views import REMEDY, ViewRegions
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
+from scoup.scene import LEVELS, Camera, Cameras, RegionMap, Regions, resize_labels
 
 ASPECT_TOLERANCE = 0.02  # LangSplat truncates sizes; more is another image
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-FOLDER_NAME = "language_features"
+FEATURES_FOLDER = "language_features"
 REMEDY = "extract the features again"
 
 
@@ -31,7 +31,7 @@ class ViewRegions:
 
 def region_folder(path: Path) -> Path:
     """Return the folder of region features of a scene folder; ``path`` itself where it is none."""
-    return path / FOLDER_NAME if (path / FOLDER_NAME).is_dir() else path
+    return path / FEATURES_FOLDER if (path / FEATURES_FOLDER).is_dir() else path
 
 
 def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from scoup.base import FileFormatError, InputError, ScoupWarning, counted
-from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+from scoup.scene import MAX_SH_DEGREE, Gaussians
 
 SH_BASES = tuple((degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1))
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within

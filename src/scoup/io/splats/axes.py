@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 Axis = Literal["x", "y", "z"]
 """Of a half-turn: x from 3DGS to right, up, back; z to left, up, forward."""

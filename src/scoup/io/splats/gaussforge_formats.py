@@ -22,7 +22,7 @@ from scoup.base import FileFormatError, ScoupError, ScoupWarning, atomic_file, e
 from scoup.io.reading import read_json
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 HOW_TO_GET_IT = "needs the package gaussforge: pip install 'scoup[splats]', and run again"
 _KSPLAT, _META = ".ksplat", "meta.json"

@@ -25,7 +25,7 @@ from scoup.io.splats.gltf_document import (
 from scoup.io.splats.gltf_write import AXIS, FEATURES, METADATA, write_gltf
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz import spz_columns
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}

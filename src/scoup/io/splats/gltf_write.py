@@ -29,7 +29,7 @@ from scoup.io.splats.gltf_document import (
     TYPES,
     sh_names,
 )
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 
 AXIS: Axis = "z"
 FEATURES, METADATA = "EXT_mesh_features", "EXT_structural_metadata"

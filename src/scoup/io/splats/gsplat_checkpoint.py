@@ -13,7 +13,7 @@ from scoup.io.reading import numbered_files
 from scoup.io.splats.activation import trained_gaussians
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensors, load_torch
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 _RANKS = "ckpt_*_rank*.pt"
 _SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}

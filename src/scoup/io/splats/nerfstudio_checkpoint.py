@@ -14,7 +14,7 @@ from scoup.io.reading import numbered_files
 from scoup.io.splats.activation import opacities_from_logits, trained_gaussians
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensors, load_torch
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 
 MODELS = "nerfstudio_models"
 _WHAT = "a checkpoint of nerfstudio's splatfacto"

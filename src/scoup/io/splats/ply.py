@@ -26,7 +26,7 @@ from scoup.io.splats.ply_compressed import is_compressed, read_compressed, write
 from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header, rest_names
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 
 _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")

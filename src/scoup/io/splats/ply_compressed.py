@@ -11,7 +11,7 @@ from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_l
 from scoup.io.splats.ply_header import MIP, read_header, rest_names
 from scoup.io.splats.ply_rows import read_rows
 from scoup.io.splats.rotation import with_largest, without_largest
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 
 _BLOCK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

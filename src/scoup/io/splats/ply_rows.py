@@ -15,7 +15,7 @@ from scoup.base import FileFormatError, refused_read, scratch_array
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
-from scoup.scene.gaussians import TENSORS, Gaussians
+from scoup.scene import TENSORS, Gaussians
 
 AT_A_TIME = 1 << 18  # rows of a large file
 _MICROSOFT = {rb"-?nan\(\w*\)|-?1\.#(ind|qnan|snan)\d*": b"nan", rb"1\.#inf\d*": b"inf"}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from scoup.scene.harmonics import sh_basis
-from scoup.scene.rotations import quats_of_rotations
+from scoup.scene import quats_of_rotations, sh_basis
 
 
 def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from scoup.base import FileFormatError, atomic_file, counted, existing_file, refused_read, share_of
 from scoup.io.splats.activation import finite_arrays, keep_finite, unit_quats
 from scoup.io.splats.splat_format import SplatFormat, kind_inside
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 
 _ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 _MOST = 1e9  # of a coordinate or scale

@@ -10,7 +10,7 @@ from typing import Literal
 
 from scoup.base import Entry
 from scoup.io.splats.axes import Axis
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 Preset = Literal["inria", "gsplat"]
 

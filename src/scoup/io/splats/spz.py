@@ -22,7 +22,7 @@ from scoup.io.splats.axes import Axis, Columns, flipped, half_turn
 from scoup.io.splats.rotation import rotated_quats, rotated_sh, with_largest, without_largest
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 _AXIS: Axis = "x"
 _QUARTER = np.array(

@@ -23,7 +23,7 @@ from scoup.base import InputError, ScoupError, WriteError, atomic_path
 from scoup.io.splats.activation import finite_arrays
 from scoup.io.splats.axes import Axis, half_turn, turned_direction
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 HOW_TO_GET_IT = "needs the package usd-core, 26.3 or newer: pip install 'scoup[usd]', and run again"
 SPLAT, SCENE = "/Splat", "/Scene"

@@ -27,8 +27,7 @@ from scoup.raster.triton.kernels.projection import (
     project_kernel,
     sieve_kernel,
 )
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 
 # Of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores, where numbers are
 # known to fit; "tf32x3" does the same with tf32; "ieee" is plain float32.

@@ -26,7 +26,7 @@ from scoup.raster.triton.kernels.products import products_kernel
 from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection, product_precision
 from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
-from scoup.scene.codes import float32_products
+from scoup.scene import float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import refusals, require_core
-from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.scene import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
 from scoup.uplift.vote import BATCHES, CodedEntries

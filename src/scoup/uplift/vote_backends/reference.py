@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.scene.codes import SparseCodes, check_atoms, index_dtype, signed
+from scoup.scene import SparseCodes, check_atoms, index_dtype, signed
 from scoup.uplift import constants
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET

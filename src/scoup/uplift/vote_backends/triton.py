@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.scene.codes import SparseCodes, index_dtype, rows_of
+from scoup.scene import SparseCodes, index_dtype, rows_of
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, Entries
 from scoup.uplift.vote import CodedEntries

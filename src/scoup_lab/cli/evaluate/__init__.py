@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.cli.family import Family
+from scoup.cli import Family
 
 EVAL = Family(
     """Score fields by the protocols of the papers: tables with intervals, and pictures of the worst answers.

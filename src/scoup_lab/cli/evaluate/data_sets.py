@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionalInteger, titled
+from scoup.cli import Console, Flag, Names, OptionalInteger, titled
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ class Evaluated(DataSetVerb):
 
     def shared(self) -> dict[str, Any]:
         """Return what evaluations of all units take."""
-        from scoup.uplift.build_settings import build_settings
+        from scoup.uplift import build_settings
 
         settings = build_settings(self.fields.preset, n_atoms=self.fields.n_atoms)
         return {"build": settings, "device": self.common.device}

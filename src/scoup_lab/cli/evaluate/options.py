@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from scoup.cli.console import Console
-from scoup.cli.options import (
+from scoup.cli import (
     CLIP_MODEL,
     AllCommon,
+    Console,
     Flag,
     Model,
     Names,

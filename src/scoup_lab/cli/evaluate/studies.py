@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names
+from scoup.cli import Console, Flag, Names
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -132,7 +131,7 @@ class Consistency(StudyVerb):
     recorded: ClassVar[str] = "preset_name seed"
 
     def study(self, console: Console, out: Path) -> Study[Any]:
-        from scoup.uplift.build_settings import build_settings
+        from scoup.uplift import build_settings
         from scoup_lab.baselines.autoencoder import LANGSPLAT
         from scoup_lab.evaluate.studies.consistency import Consistency as ConsistencyStudy
 

@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from scoup.cli.console import Console, command
-from scoup.cli.options import WritesCommon, arg
+from scoup.cli import Console, WritesCommon, arg, command
 
 
 @dataclass(frozen=True, kw_only=True)

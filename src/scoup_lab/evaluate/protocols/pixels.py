@@ -9,8 +9,7 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base import Entry, InputError, UnknownNameError, counted
-from scoup.scene.cameras import Camera
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS, Camera
 from scoup_lab.data.labels import LabelledFrame, match_frames
 from scoup_lab.evaluate.metrics import any_inside, iou
 from scoup_lab.evaluate.relevancy_maps import localize, segment

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError
-from scoup.query.question import TextVectors
+from scoup.query import TextVectors
 from scoup_lab.baselines.fitted import FittedMethod
 
 NO_CLASS = -1

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, counted, looked_up
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints, read_labelled_ply
 from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes

@@ -15,11 +15,8 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError
-from scoup.query.question import TextVectors
-from scoup.query.votes import select_by_relevancy
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import nearest_points
+from scoup.query import TextVectors, select_by_relevancy
+from scoup.scene import Camera, Gaussians, nearest_points
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.images import read_mask
+from scoup.io import read_mask
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 

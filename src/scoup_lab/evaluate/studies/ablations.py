@@ -8,7 +8,7 @@ from statistics import mean
 from typing import Any, ClassVar
 
 from scoup.base import Progress, no_progress
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED

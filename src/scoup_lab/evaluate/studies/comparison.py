@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import VERSION, Progress, no_progress
-from scoup.io import write_text
+from scoup.base import VERSION, Progress, no_progress, write_text
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measure import Stopwatch

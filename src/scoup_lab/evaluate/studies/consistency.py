@@ -17,9 +17,8 @@ import torch
 
 from scoup.base import InputError, Progress, no_progress
 from scoup.coding import fit_codes
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup.scene import Cameras, Regions
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.report import Report

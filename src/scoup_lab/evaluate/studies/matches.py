@@ -14,8 +14,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import MissingFileError
 from scoup.io import read_tracks
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Cameras, Gaussians
 from scoup_lab.baselines.pixel_rules import centre_pixels, pixel_weights
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 

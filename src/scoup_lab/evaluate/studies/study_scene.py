@@ -12,11 +12,9 @@ from scoup import raster
 from scoup.base import InputError
 from scoup.field import Field
 from scoup.io import load_gaussians, load_regions, splat_source
-from scoup.models.words import with_everyday
-from scoup.query.question import TextVectors
-from scoup.scene.cameras import Camera
-from scoup.scene.codes import rows_of
-from scoup.scene.gaussians import Gaussians
+from scoup.models import with_everyday
+from scoup.query import TextVectors
+from scoup.scene import Camera, Gaussians, rows_of
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene import Camera, Cameras
 from scoup_lab.synthetic.art.baked import read_things
 from scoup_lab.synthetic.art.lighting import Light
 from scoup_lab.synthetic.art.meshes import Floats

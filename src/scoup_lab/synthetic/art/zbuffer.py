@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from scoup_lab.synthetic.art.meshes import Floats, Ints
 
 NEAR = 0.05
