@@ -22,7 +22,7 @@ from scoup.base import looked_up
 from scoup.models import CANONICAL_PHRASES
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import BuildSettings, RegionSums, region_sums
-from scoup.uplift.build_settings import Scale
+from scoup.uplift.settings import Scale
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene

@@ -26,7 +26,7 @@ from scoup.field import NO_THING, ThingTable
 from scoup.models import CANONICAL_PHRASES
 from scoup.query import OrientedBox, ThingIndex, encode_texts, thing_index, things_of_table
 from scoup.query import Thing as ThingOfField
-from scoup.query.thing_index import shares_of
+from scoup.query.thing_judge import shares_of
 from scoup_lab.synthetic.art.things import Thing
 from scoup_lab.synthetic.observe import PART_OFFSET, REGION_NOISE, SURROUNDINGS, VIEW_NOISE, noise
 from scoup_lab.synthetic.words import unit

@@ -16,7 +16,7 @@ from benchmarks.scenes import LAYOUTS, field_of, find_layout
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import Instances
 from scoup.query import compare
-from scoup.query.compare import Change, Comparison, Kind
+from scoup.query.comparison import Change, Comparison, Kind
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.meshes import Floats
@@ -40,7 +40,7 @@ class Compare(Study):
     Pairs of a layout with a seed: three things removed, three added, up to three moved; the same changes, with the
     later capture from a part of the path of the cameras, where only false changes count; nothing changed. No camera is
     in both captures, and splat, masks and embeddings are drawn again. Scenes with real models: every other view, and
-    both halves of the path; nothing changed. The constants of scoup.query.compare were tuned on the seed 100 and on
+    both halves of the path; nothing changed. The constants of scoup.query.comparison were tuned on the seed 100 and on
     table-real.
     """
 

@@ -26,7 +26,7 @@ from scoup.query import LanguageField, constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
 from scoup.query.named import best_words, voted_names
-from scoup.query.refine import choose_views
+from scoup.query.refinement import choose_views
 from scoup.scene import Detections
 from scoup.uplift.naming import ViewVotes, count_votes, things_in_view, votes_in_view
 from scoup_lab.baselines.fitted import FittedField

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from benchmarks.answer_scenes import DrawName
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.real_scenes import REAL_SCENES
-from scoup.uplift.build_settings import Scale
+from scoup.uplift.settings import Scale
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.sparse import SparseUplift

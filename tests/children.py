@@ -56,7 +56,7 @@ def workers(count: int, initializer: Callable[[], None] | None = None) -> Iterat
     context = get_context("spawn")
     if sys.platform.startswith("linux"):
         context = get_context("forkserver")
-        context.set_forkserver_preload(["scoup.uplift.build"])
+        context.set_forkserver_preload(["scoup.uplift.field_build"])
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=initializer)
     try:
         yield pool

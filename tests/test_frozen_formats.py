@@ -25,8 +25,8 @@ from scoup.field.container import METADATA_KEY
 from scoup.io import read_ply_table, write_ply_table
 from scoup.query import LanguageField
 from scoup.uplift import RegionSums
-from scoup.uplift.region_sums import VERSION
 from scoup.uplift.storage.array_file import read_arrays, write_arrays
+from scoup.uplift.stored_sums import VERSION
 
 FIELDS = sorted(FORMATS.glob("*.scoup"))
 ALLOWED = 1e-2  # votes of other processors and backends differ in the last bit of some float16 weights

@@ -158,8 +158,8 @@ def test_what_the_laboratory_needs_of_the_product() -> None:
 
 
 @pytest.mark.parametrize("source", [
-    "from scoup.uplift.build import build",
-    "import scoup.uplift.vote", "from scoup import uplift", "from scoup import build", "import scoup",
+    "from scoup.uplift.field_build import build",
+    "import scoup.uplift.voting", "from scoup import uplift", "from scoup import build", "import scoup",
     "def f():\n    from scoup.models.text import TextEncoder",
     'BACKENDS = {"native": "scoup.uplift.vote_backends.native"}',
 ])  # fmt: skip

@@ -22,14 +22,14 @@ from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
-from scoup.archive.results_page import results_page
+from scoup.archive.page import results_page
 from scoup.archive.search import look_alikes, rank_of
 from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field import NameTable
 from scoup.models import open_image_model, save_table
 from scoup.query import LanguageField, ThingIndex, constants, thing_index
-from scoup.query.thing_index import shares_of
+from scoup.query.thing_judge import shares_of
 from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")

@@ -14,7 +14,7 @@ from scoup import raster
 from scoup.base import backends
 from scoup.base.backends import default_backend, load_backend, require_backend
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError, warn_once
-from scoup.uplift import vote
+from scoup.uplift import voting as vote
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda:1")
 TABLES = {"raster": raster.BACKENDS, "vote": vote.BACKENDS}

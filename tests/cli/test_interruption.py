@@ -27,7 +27,7 @@ STUCK = """
 import time
 from scoup import raster
 from scoup.cli.app import entry
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.stored_sums import RegionSums
 region_sums, append, rasterised, appended = raster.region_sums, RegionSums.append, [], []
 def counted(self, *view):
     append(self, *view)
@@ -147,7 +147,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
          "scoup.extract.own_views.render_colors"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
         (("demo", "--out", "new/demo"), "scoup_lab.evaluate.demonstration.make_demo_scene"),
-        (("transfer", "f.scoup", "edited.ply", "--out", "new/b.scoup"), "scoup.uplift.transfer.transfer"),
+        (("transfer", "f.scoup", "edited.ply", "--out", "new/b.scoup"), "scoup.uplift.field_transfer.transfer"),
         ((*BUILD[:-1], "new/a.scoup"), "scoup.uplift.region_codes.fit_codes"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

@@ -80,7 +80,7 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     for place, expected in (
         ("scoup.extract.pipeline.describe_masks", "the views are kept"),
-        ("scoup.uplift.build.build", "3 of 3 views are kept"),
+        ("scoup.uplift.field_build.build", "3 of 3 views are kept"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)

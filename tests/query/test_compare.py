@@ -10,7 +10,7 @@ import torch
 
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
 from scoup.base import InputError, ScoupWarning
-from scoup.query.compare import compare
+from scoup.query.comparison import compare
 from scoup.query.language_field import LanguageField
 from scoup.scene import Camera, Cameras
 

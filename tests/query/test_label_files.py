@@ -19,7 +19,7 @@ from scoup.io import read_ply_table
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
-from scoup.query.label_files import label_files, labelled_colors, save_label_views, save_labels
+from scoup.query.label_writing import label_files, labelled_colors, save_label_views, save_labels
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map
 from scoup.scene import SH_C0, estimate_up
 

@@ -20,8 +20,8 @@ from scoup.query import constants
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice
 from scoup.query.named import Named, joined
-from scoup.query.refine import choose_views, refine
-from scoup.query.thing_index import thing_index
+from scoup.query.refinement import choose_views, refine
+from scoup.query.thing_judge import thing_index
 from scoup.scene import Cameras, Detections
 from scoup.uplift.constants import EVEN_SCORE
 from scoup.uplift.naming import things_in_view
@@ -204,7 +204,7 @@ def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.M
     encoder = field.encoder
     names = list(encoder.names or ())
     np.savez(words, names=np.array(names), vectors=encoder.encode(names).numpy())
-    monkeypatch.setattr("scoup.query.refine.open_concepts", lambda name, device: Finder(field, BALL))
+    monkeypatch.setattr("scoup.query.refinement.open_concepts", lambda name, device: Finder(field, BALL))
     query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
     code, out, error = run(*query, "--out", tmp_path / "a", "--refine", "owlv2")
     assert code == 0, error

@@ -20,7 +20,7 @@ from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.presence import TextScore, other_words, presence_threshold
 from scoup.query.question import Question
-from scoup.query.thing_index import thing_index
+from scoup.query.thing_judge import thing_index
 from scoup.query.votes import SampledVotes, select_each
 from support import examples, unit
 

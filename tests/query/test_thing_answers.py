@@ -21,7 +21,7 @@ from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
-from scoup.query.thing_index import ThingIndex, thing_index
+from scoup.query.thing_judge import ThingIndex, thing_index
 from support import altered, examples, things_of, unit
 
 # The choice.

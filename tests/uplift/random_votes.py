@@ -13,11 +13,11 @@ from torch import Tensor
 from raster.parity import beyond
 from scoup.raster import ViewSums, merge
 from scoup.scene import SparseCodes, stable_products
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, pack
-from scoup.uplift.vote import CodedEntries
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
+from scoup.uplift.voting import CodedEntries
 
 SHARPNESS = torch.tensor([3.0, 0.0, 20.0])
 

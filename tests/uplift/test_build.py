@@ -17,11 +17,11 @@ from cli_support import snapshot
 from scoup.base import InputError, Part, ScoupWarning, UnknownNameError
 from scoup.field import Field
 from scoup.scene import Cameras, RegionMap, Regions
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
+from scoup.uplift.field_build import build
 from scoup.uplift.rasterise import add_views, open_sums, region_sums
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.storage.array_file import view_file
+from scoup.uplift.stored_sums import RegionSums
 from support import changed_regions, make_camera, random_gaussians, small_scene, threads_of_torch, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=2)

@@ -17,9 +17,9 @@ from scoup.base import FileFormatError, InputError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
-from scoup.uplift.vote import vote
+from scoup.uplift.stored_sums import RegionSums
+from scoup.uplift.voting import vote
 from support import small_scene
 
 Arrays = dict[str, NDArray[Any]]

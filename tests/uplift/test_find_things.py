@@ -18,11 +18,11 @@ from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base import spread
 from scoup.field import NO_THING, Field, ThingTable
 from scoup.scene import Cameras, RegionMap
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS
+from scoup.uplift.field_build import build
 from scoup.uplift.merging import ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
+from scoup.uplift.settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.things import mean_embeddings
 from support import changed_regions, examples
 

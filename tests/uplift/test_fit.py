@@ -224,7 +224,7 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
     def too_late(*_, **__):
         raise AssertionError("work was done on a scene that does not fit")
 
-    monkeypatch.setattr("scoup.uplift.build.code_regions", too_late)
+    monkeypatch.setattr("scoup.uplift.field_build.code_regions", too_late)
     with pytest.raises(InputError, match=r"a\.ply: does not fit the cameras"):
         scoup.build(gaussians, wrong, regions, settings, sources=scoup.FieldSources(geometry_path="a.ply"))
 

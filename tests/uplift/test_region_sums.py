@@ -18,9 +18,9 @@ from scoup import raster
 from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.array_file import view_file
+from scoup.uplift.stored_sums import RegionSums
 from support import small_scene
 
 

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.scene import SparseCodes
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import scene_sharpness
-from scoup.uplift.vote import vote
+from scoup.uplift.stored_sums import RegionSums
+from scoup.uplift.voting import vote
 from uplift.random_votes import sums_of_triplets, usual_deviation
 
 pytestmark = pytest.mark.parametrize("backend", ["native", "reference"])

@@ -14,9 +14,9 @@ from scoup.field import NO_THING
 from scoup.io import load_gaussians, save_gaussians
 from scoup.query import LanguageField, build
 from scoup.scene import Gaussians, index_dtype
-from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.constants import NEAREST
-from scoup.uplift.transfer import source_rows, transfer
+from scoup.uplift.field_transfer import source_rows, transfer
+from scoup.uplift.settings import BuildSettings
 from support import altered, random_gaussians, small_scene
 from uplift.edits import joined
 

@@ -15,9 +15,9 @@ from scoup.field import NO_THING
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query import build
 from scoup.scene import Cameras, Gaussians, Regions
-from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.constants import KEPT
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.settings import BuildSettings
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.trimming import find_strays
 
 

@@ -23,7 +23,7 @@ def check_usual_deviation(device: str) -> None:
     from scoup.uplift.vote_backends import triton as vote_triton
 
     sums, codes, codebook, expected = usual_deviation()
-    rounds = importlib.import_module("scoup.uplift.vote")
+    rounds = importlib.import_module("scoup.uplift.voting")
     with patch.object(rounds, "load_backend", lambda *_: ("triton", vote_triton)):
         found = rounds.vote(sums, codes, codebook.to(device), 2, None)
     assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)

@@ -2,7 +2,7 @@
 
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import Archive, FoundThing
-from scoup.archive.results_page import results_page
+from scoup.archive.page import results_page
 
 __all__ = [
     "Archive",

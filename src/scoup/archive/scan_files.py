@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "scoup scan", 1
 """What the metadata of a Parquet file says under the key ``scoup``. Raise the version when the rules of
-``scoup.query.thing_index`` change: the arrays depend on them."""
+``scoup.query.thing_judge`` change: the arrays depend on them."""
 ENDING = ".parquet"
 OwnColumns: TypeAlias = "Mapping[str, str | int | float]"
 """What the user says of a scan: name of the column -> value in every row."""

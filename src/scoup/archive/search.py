@@ -1,4 +1,4 @@
-"""A text or an image for all scans of an archive: judged as in their fields (``scoup.query.thing_index``)."""
+"""A text or an image for all scans of an archive: judged as in their fields (``scoup.query.thing_judge``)."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from scoup.base.atomic import (
     write_text,
 )
 from scoup.base.backends import load_backend, serves
-from scoup.base.brief import brief
 from scoup.base.counts import counted, listed, none_of, share_of, spread, verb
 from scoup.base.digests import array_checksum, file_sha256, geometry_fingerprint, is_sealed, sealed
 from scoup.base.errors import (
@@ -38,12 +37,12 @@ from scoup.base.errors import (
 )
 from scoup.base.existing import existing_file, refuse_pointer
 from scoup.base.file_names import slug, unique_slugs
-from scoup.base.html import PREVIEW, card, data_address, html
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
 from scoup.base.locks import WAIT, locked
 from scoup.base.native import native_core, refusals, release_memory, require_core
 from scoup.base.npz import write_npz
+from scoup.base.pages import PREVIEW, card, data_address, html
 from scoup.base.parts import Part
 from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress, reported
@@ -51,6 +50,7 @@ from scoup.base.records import rounded_vector
 from scoup.base.registry import Entry, Registry
 from scoup.base.safetensors_damage import safetensors_damage_named
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array, temporary_folder
+from scoup.base.short_repr import brief
 from scoup.base.staging import check_outputs, staged
 from scoup.base.version import VERSION
 

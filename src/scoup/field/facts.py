@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scoup.field.checks import weight_bits
 from scoup.field.container import place_of, read_content
 from scoup.field.content import LEAST_GAUSSIANS
-from scoup.field.part_sizes import PartSizes
+from scoup.field.sizes import PartSizes
 
 
 def read_facts(path: Path) -> dict[str, Any]:

@@ -19,9 +19,9 @@ from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache
 from scoup.field.container import field_damage_named
+from scoup.field.cosines import FieldCodes, GaussianCosines
 from scoup.field.field_info import FieldInfo, check_parts
 from scoup.field.name_table import NameTable
-from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.field.renders import Vectors
 from scoup.field.thing_table import ThingTable
 from scoup.io import load_gaussians

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError
-from scoup.field.relevancy import FieldCodes, relevancy
+from scoup.field.cosines import FieldCodes, relevancy
 from scoup.scene import Camera, Gaussians, query_vectors
 
 GAUSSIANS_AT_A_TIME = 65536

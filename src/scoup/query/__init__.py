@@ -8,9 +8,9 @@ from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.catalog_files import catalog_files, draw_things, save_catalog, thing_mask
-from scoup.query.compare import compare
+from scoup.query.catalog_writing import catalog_files, draw_things, save_catalog, thing_mask
 from scoup.query.compare_files import PAGE, RECORD, save_comparison
+from scoup.query.comparison import compare
 from scoup.query.drawing import (
     Draw,
     code_drawing,
@@ -24,7 +24,7 @@ from scoup.query.edits import STATE, SplatTable, best_camera, edit_picture, edit
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
-from scoup.query.label_files import label_files, save_label_views, save_labels
+from scoup.query.label_writing import label_files, save_label_views, save_labels
 from scoup.query.labels import GaussianLabels, labels_of
 from scoup.query.language_field import LanguageField, build
 from scoup.query.named import Named, find_named
@@ -49,10 +49,10 @@ from scoup.query.question import (
     near_names,
     warn_of_another_model,
 )
-from scoup.query.refine import Refined, refine
+from scoup.query.refinement import Refined, refine
 from scoup.query.relations import overlaps, related_pairs
 from scoup.query.select import Reshaping
-from scoup.query.thing_index import Shares, ThingIndex, Verdict, compared_words, thing_index
+from scoup.query.thing_judge import Shares, ThingIndex, Verdict, compared_words, thing_index
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, things_of_table
 from scoup.query.view_answer import ViewAnswer, mask_box

@@ -12,7 +12,7 @@ from scoup.query.answer import Answer
 from scoup.query.named import named_texts
 from scoup.query.presence import is_present, text_scores
 from scoup.query.question import Question
-from scoup.query.thing_index import thing_index
+from scoup.query.thing_judge import thing_index
 from scoup.query.votes import SampledVotes, select_each
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 from scoup.base import Progress, counted, no_progress, write_text
 from scoup.field import Field
 from scoup.pictures import Picture, as_picture
-from scoup.query.catalog_files import (
+from scoup.query.catalog_writing import (
     PAGE,
     PICTURES,
     Card,
@@ -23,7 +23,7 @@ from scoup.query.catalog_files import (
     thing_mask,
     viewing_cameras,
 )
-from scoup.query.compare import KINDS, Array, Change, Comparison, scale_of
+from scoup.query.comparison import KINDS, Array, Change, Comparison, scale_of
 from scoup.query.field_view import FieldView
 from scoup.scene import Camera
 

@@ -23,7 +23,7 @@ from torch import Tensor
 from scoup.query import constants
 
 if TYPE_CHECKING:
-    from scoup.query.thing_index import ThingIndex
+    from scoup.query.thing_judge import ThingIndex
 
 FITS_AT_A_TIME = 1 << 16
 

@@ -21,7 +21,7 @@ from scoup.query.answer_scene import each_answer
 from scoup.query.named import less_common, voted_names
 from scoup.query.presence import text_scores
 from scoup.query.question import Question
-from scoup.query.thing_index import ThingIndex, compared_words, shared_gaussians, thing_index
+from scoup.query.thing_judge import ThingIndex, compared_words, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
 
 

@@ -21,7 +21,7 @@ from scoup.query.connected_parts import connected_parts
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS, text_scores
 from scoup.query.question import Question
-from scoup.query.thing_index import thing_index
+from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene import estimate_up

@@ -4,19 +4,19 @@ Each stage is a function: ``code_regions``, ``region_sums``, ``find_things``, ``
 in this order. Region sums are files in one folder, so that views can be shared out and added.
 """
 
-from scoup.uplift.build import build, check_scene, pack
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
+from scoup.uplift.field_build import build, check_scene, pack
+from scoup.uplift.field_transfer import transfer
 from scoup.uplift.fit import Verdict, fit_problem, measure_fit
 from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
 from scoup.uplift.naming import name_field, name_things
 from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions
-from scoup.uplift.region_sums import RegionSums, Rows
+from scoup.uplift.settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.storage.array_file import ENDING, SCENE, stored_bytes, view_files
+from scoup.uplift.stored_sums import RegionSums, Rows
 from scoup.uplift.things import find_things
-from scoup.uplift.transfer import transfer
-from scoup.uplift.vote import GaussianCodes, vote
+from scoup.uplift.voting import GaussianCodes, vote
 
 __all__ = [
     "BUILD_PRESETS",

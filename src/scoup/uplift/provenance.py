@@ -15,8 +15,8 @@ from scoup.base import VERSION, InputError
 from scoup.io import read_manifest
 from scoup.models import check_model, is_table, load_table
 from scoup.scene import Regions
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.settings import BuildSettings
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.things import FoundThings
 
 

@@ -25,9 +25,9 @@ from scoup.base import (
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import constants
-from scoup.uplift.build_settings import BuildSettings, Scale, build_settings
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.settings import BuildSettings, Scale, build_settings
 from scoup.uplift.storage.array_file import ENDING, SCENE
+from scoup.uplift.stored_sums import RegionSums
 
 STAGE = "region sums"
 READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one

@@ -15,8 +15,8 @@ from torch import Tensor
 from scoup.base import VERSION, InputError, Progress, ScoupWarning, listed, no_progress
 from scoup.coding import CodingReport, encode_rows, fit_codes, report_on
 from scoup.scene import Cameras, Regions, SparseCodes, codes_problem, normalise_embeddings
-from scoup.uplift.build_settings import BuildSettings, build_settings
-from scoup.uplift.region_sums import Rows
+from scoup.uplift.settings import BuildSettings, build_settings
+from scoup.uplift.stored_sums import Rows
 
 if TYPE_CHECKING:
     from scoup.field import Field

@@ -20,10 +20,10 @@ from scoup.field import MOST_THINGS, NO_THING, ThingTable
 from scoup.scene import SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift import constants
 from scoup.uplift.merging import Matrix, merge_regions
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import Entries
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.trimming import find_strays
-from scoup.uplift.vote import vote
+from scoup.uplift.voting import vote
 
 
 def find_things(

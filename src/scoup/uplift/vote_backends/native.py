@@ -12,7 +12,7 @@ from scoup.base import refusals, require_core
 from scoup.scene import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import BATCHES, CodedEntries
+from scoup.uplift.voting import BATCHES, CodedEntries
 
 
 class Vote:

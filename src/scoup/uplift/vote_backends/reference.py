@@ -13,7 +13,7 @@ from scoup.scene import SparseCodes, check_atoms, index_dtype, signed
 from scoup.uplift import constants
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import BATCHES, CodedEntries
+from scoup.uplift.voting import BATCHES, CodedEntries
 
 BUCKETS_AT_A_TIME = 64
 

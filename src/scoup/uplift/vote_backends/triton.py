@@ -19,9 +19,9 @@ from scoup.base import InputError
 from scoup.scene import SparseCodes, index_dtype, rows_of
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, Entries
-from scoup.uplift.vote import CodedEntries
 from scoup.uplift.vote_backends import reference
 from scoup.uplift.vote_backends.kernels import vote_kernel
+from scoup.uplift.voting import CodedEntries
 
 MOST_ENTRIES = 1 << 24  # at a time: half a gigabyte, most of it to sort them
 MOST_KNOWN = 1 << 28  # that stay there from round to round: two gigabytes

@@ -32,7 +32,7 @@ from scoup.base import (
 )
 from scoup.raster import ViewSums, morton_order
 from scoup.scene import Camera, Gaussians
-from scoup.uplift.build_settings import Scale, check_scale
+from scoup.uplift.settings import Scale, check_scale
 from scoup.uplift.storage.array_file import (
     ENDING,
     SCENE,

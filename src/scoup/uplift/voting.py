@@ -19,9 +19,9 @@ from scoup.base import InputError, Progress, load_backend, no_progress, spread
 from scoup.raster import restored
 from scoup.scene import SparseCodes, index_dtype, signed, stable_products
 from scoup.uplift import constants
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound, scene_sharpness
 from scoup.uplift.storage.entries import BUCKET, Entries
+from scoup.uplift.stored_sums import RegionSums
 
 if TYPE_CHECKING:
     from scoup.uplift.vote_backends import native, reference

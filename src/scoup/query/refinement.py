@@ -24,7 +24,7 @@ from scoup.query import constants
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
 from scoup.query.question import literal
-from scoup.query.thing_index import thing_index
+from scoup.query.thing_judge import thing_index
 from scoup.scene import Camera, Cameras, Detections
 from scoup.uplift import name_things
 

@@ -11,13 +11,13 @@ from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, rel
 from scoup.field import Field, FieldInfo, ThingTable
 from scoup.scene import Cameras, Gaussians, Regions, sanity_problems
 from scoup.uplift import fit
-from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model
 from scoup.uplift.rasterise import cameras_with_regions, check_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.settings import BuildSettings, build_settings
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.things import find_things
-from scoup.uplift.vote import GaussianCodes, vote
+from scoup.uplift.voting import GaussianCodes, vote
 
 
 def build(
