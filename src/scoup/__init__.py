@@ -58,7 +58,7 @@ __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll
 
 if TYPE_CHECKING:
     from scoup.archive import Archive as Archive
-    from scoup.base import VERSION as __version__  # noqa: F401
+    from scoup.base import VERSION as __version__
     from scoup.base import ScoupError as ScoupError
     from scoup.base import ScoupWarning as ScoupWarning
     from scoup.coding import Codebook as Codebook

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.base.ahead import worked_ahead
+from scoup.base.work import worked_ahead
 
 
 def test_results_come_in_order_and_few_are_made_ahead() -> None:

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.base.errors import InputError, OutputExistsError, WriteError
+from scoup.base.outputs import atomic_file, atomic_path, check_output, write_text
 
 
 def test_writes_and_makes_the_folder(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.base.counts import counted, listed, none_of, share_of, spread, verb
+from scoup.base.texts import counted, listed, none_of, share_of, spread, verb
 
 
 def test_one_is_singular():

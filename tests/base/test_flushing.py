@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.atomic import atomic_file, atomic_path
 from scoup.base.errors import WriteError
-from scoup.base.staging import staged
+from scoup.base.outputs import atomic_file, atomic_path, staged
 
 
 @pytest.fixture

@@ -12,10 +12,8 @@ from subprocess import PIPE, Popen
 import pytest
 
 from children import child
-from scoup.base.atomic import atomic_file, atomic_path
 from scoup.base.errors import OutputExistsError, OutputInUseError, WriteError
-from scoup.base.locks import locked
-from scoup.base.staging import staged
+from scoup.base.outputs import atomic_file, atomic_path, locked, staged
 
 WRITERS: dict[str, Callable[..., AbstractContextManager]] = {
     "file": atomic_file, "path": atomic_path, "staged": staged
@@ -23,7 +21,7 @@ WRITERS: dict[str, Callable[..., AbstractContextManager]] = {
 HOLD = """
 import sys
 from pathlib import Path
-from scoup.base.atomic import atomic_file, atomic_path
+from scoup.base.outputs import atomic_file, atomic_path
 from scoup.base.staging import staged
 writer = {"file": atomic_file, "path": atomic_path, "staged": staged}[sys.argv[1]]
 with writer(Path(sys.argv[2])) as made:
@@ -100,7 +98,7 @@ def test_what_another_process_has_just_finished_is_not_made_again(
         path.write_text("precious")  # between the first check and the lock
         return locked(output, wait, kind)
 
-    monkeypatch.setattr("scoup.base.atomic.locked", locked_late)
+    monkeypatch.setattr("scoup.base.outputs.locked", locked_late)
     with pytest.raises(OutputExistsError), atomic_file(path):
         pass
     assert path.read_text() == "precious"

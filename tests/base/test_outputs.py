@@ -13,7 +13,7 @@ import pytest
 
 from children import forked
 from cli_support import snapshot
-from scoup.base.atomic import atomic_file, atomic_path
+from scoup.base.outputs import atomic_file, atomic_path
 
 STEPS = (
     (os, "replace"), (os, "fsync"), (Path, "mkdir"), (Path, "unlink"), (Path, "open"), (shutil, "rmtree"),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.records import rounded_vector
+from scoup.base.texts import rounded_vector
 from scoup_lab.bench.report import record_text
 from support import examples
 

@@ -201,7 +201,7 @@ entry()
 # An output is being written meanwhile.
 AT_WORK = """
 import sys, time
-from scoup.base.atomic import reserved_output
+from scoup.base.outputs import reserved_output
 from scoup.cli.stop import exit_code, stop_on_signals
 stop_on_signals()
 try:

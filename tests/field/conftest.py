@@ -10,8 +10,7 @@ import torch
 from field_files import parts_of, small_field
 from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import NO_THING
+from scoup.field.thing_table import NO_THING, NameTable
 from scoup.query import LanguageField
 from support import altered, things_of, unit
 

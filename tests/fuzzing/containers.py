@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import duckdb
 
 from scoup.base import array_checksum, sealed
-from scoup.base.digests import NO_CHECKSUM
+from scoup.base.arrays import NO_CHECKSUM
 from scoup.uplift.storage.array_file import with_checksum
 
 _BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")

@@ -17,9 +17,8 @@ from torch import Tensor
 from query.conftest import ASKED
 from scoup.query.answer import Answer
 from scoup.query.boxes import PointSets
-from scoup.query.connected_parts import connected_parts
 from scoup.query.place import Place, place_of
-from scoup.query.things import MOST_LINKED, rough_parts
+from scoup.query.things import MOST_LINKED, connected_parts, rough_parts
 from scoup.scene import Gaussians
 from support import examples, gaussians_at
 

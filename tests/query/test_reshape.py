@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base import InputError
-from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS
 from scoup.query.select import Reshaping, reshaped
+from scoup.query.things import LONGEST_LINK, NEIGHBOURS
 from scoup.scene import Gaussians
 from support import examples, gaussians_at, random_gaussians
 

@@ -4,22 +4,8 @@ checks of arguments and files, tables that packages extend, and the one way to e
 Nothing here knows of 3D, and importing it loads neither torch nor numpy.
 """
 
-from scoup.base.ahead import worked_ahead
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.atomic import (
-    atomic_file,
-    atomic_path,
-    check_output,
-    flush_names,
-    flush_to_disk,
-    remove,
-    reserved_output,
-    reserved_part,
-    write_text,
-)
+from scoup.base.arrays import array_checksum, file_sha256, geometry_fingerprint, is_sealed, sealed, write_npz
 from scoup.base.backends import load_backend, serves
-from scoup.base.counts import counted, listed, none_of, share_of, spread, verb
-from scoup.base.digests import array_checksum, file_sha256, geometry_fingerprint, is_sealed, sealed
 from scoup.base.errors import (
     FileFormatError,
     InputError,
@@ -35,24 +21,43 @@ from scoup.base.errors import (
     refused_read,
     remedy_of,
 )
-from scoup.base.existing import existing_file, refuse_pointer
-from scoup.base.file_names import slug, unique_slugs
+from scoup.base.inputs import PATH, check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
-from scoup.base.locks import WAIT, locked
 from scoup.base.native import native_core, refusals, release_memory, require_core
-from scoup.base.npz import write_npz
+from scoup.base.outputs import (
+    WAIT,
+    atomic_file,
+    atomic_path,
+    check_output,
+    check_outputs,
+    flush_names,
+    flush_to_disk,
+    locked,
+    remove,
+    reserved_output,
+    reserved_part,
+    staged,
+    write_text,
+)
 from scoup.base.pages import PREVIEW, card, data_address, html
-from scoup.base.parts import Part
-from scoup.base.printable import printable
-from scoup.base.progress import Progress, no_progress, reported
-from scoup.base.records import rounded_vector
 from scoup.base.registry import Entry, Registry
-from scoup.base.safetensors_damage import safetensors_damage_named
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array, temporary_folder
-from scoup.base.short_repr import brief
-from scoup.base.staging import check_outputs, staged
+from scoup.base.texts import (
+    brief,
+    counted,
+    listed,
+    none_of,
+    printable,
+    rounded_vector,
+    share_of,
+    slug,
+    spread,
+    unique_slugs,
+    verb,
+)
 from scoup.base.version import VERSION
+from scoup.base.work import Part, Progress, no_progress, reported, worked_ahead
 
 __all__ = [
     "MOST_ROWS_IN_MEMORY",

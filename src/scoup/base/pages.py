@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from scoup.base.printable import printable
+from scoup.base.texts import printable
 
 if TYPE_CHECKING:
     import numpy as np

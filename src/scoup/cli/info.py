@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import MissingFileError, ScoupWarning
 from scoup.cli.console import Console
 from scoup.cli.options import Common, arg
 
@@ -54,33 +54,6 @@ def _folder(path: Path) -> dict[str, Any]:
     return {**folder.record, "fit": fit.describe()}
 
 
-def _other(path: Path) -> dict[str, Any]:
-    from scoup.io import camera_format, is_splat_name, other_format, read_endings
-
-    if camera_format(path):
-        return _cameras(path)
-    if not is_splat_name(path):
-        readable = (
-            f"read are fields (.scoup), splats ({read_endings()}), cameras (transforms.json, "
-            "cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), and folders of scenes, "
-            "region features and region sums"
-        )
-        raise FileFormatError(path, *(other_format(path) or ("is not a known kind of file", readable)))
-    return _splat(path)
-
-
-def _splat(path: Path) -> dict[str, Any]:
-    from scoup.io import describe_gaussians, load_gaussians
-
-    return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
-
-
-def _cameras(path: Path) -> dict[str, Any]:
-    from scoup.io import all_cameras, describe_cameras, describe_unreadable
-
-    return {"kind": "cameras", **describe_cameras(all_cameras(path)), **describe_unreadable(path)}
-
-
 def _word_table(path: Path) -> dict[str, Any]:
     from scoup.models import load_table
 
@@ -89,20 +62,10 @@ def _word_table(path: Path) -> dict[str, Any]:
     return record | ({"embedding_model": table.model} if table.model else {})
 
 
-def _json(path: Path) -> dict[str, Any]:
-    from scoup.io import is_splat_name, read_json
+def _other(path: Path) -> dict[str, Any]:
+    from scoup.io import describe_file
 
-    if is_splat_name(path):
-        return _splat(path)
-    if path.name in ("transforms.json", "cameras.json"):
-        return _cameras(path)
-    content = read_json(path, "cameras or a word table").value
-    if isinstance(content, list) or (isinstance(content, dict) and "frames" in content):
-        return _cameras(path)
-    if isinstance(content, dict) and any(isinstance(value, list) for value in content.values()):
-        return _word_table(path)
-    problem = "is JSON of another kind than cameras (with frames) or a word table (lists of numbers by names)"
-    raise FileFormatError(path, problem, "name the file of the splat, cameras or words itself")
+    return describe_file(path) or _word_table(path)
 
 
 def _region_sums(path: Path) -> dict[str, Any]:
@@ -132,10 +95,8 @@ def _field(path: Path) -> dict[str, Any]:
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
-    **dict.fromkeys((".bin", ".txt"), _cameras),
-    ".json": _json,
 }
-"""Extension -> what describes such a file; all others are splats, or cameras of other formats."""
+"""Extension -> description of such a file; others are splats, cameras or word tables in JSON."""
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -56,14 +56,14 @@ if TYPE_CHECKING:
     from scoup.field.field import Field as Field
     from scoup.field.field import Own as Own
     from scoup.field.field_info import FieldInfo as FieldInfo
-    from scoup.field.name_table import NameTable as NameTable
-    from scoup.field.name_table import number_of as number_of
     from scoup.field.renders import Vectors as Vectors
     from scoup.field.renders import checked_vectors as checked_vectors
     from scoup.field.renders import render_codes as render_codes
     from scoup.field.renders import render_depth as render_depth
     from scoup.field.sizes import part_sizes as part_sizes
     from scoup.field.thing_table import NO_THING as NO_THING
+    from scoup.field.thing_table import NameTable as NameTable
     from scoup.field.thing_table import ThingTable as ThingTable
+    from scoup.field.thing_table import number_of as number_of
 
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -14,8 +14,7 @@ from scoup.base import InputError, WriteError, array_checksum, atomic_path, chec
 from scoup.field.checks import MOST_THINGS
 from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_content, relative_place
 from scoup.field.field_info import FieldInfo
-from scoup.field.name_table import NameTable
-from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
+from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
 from scoup.scene import Camera, Cameras, Gaussians
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")

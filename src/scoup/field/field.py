@@ -21,9 +21,8 @@ from scoup.field.cache import Cache
 from scoup.field.container import field_damage_named
 from scoup.field.cosines import FieldCodes, GaussianCosines
 from scoup.field.field_info import FieldInfo, check_parts
-from scoup.field.name_table import NameTable
 from scoup.field.renders import Vectors
-from scoup.field.thing_table import ThingTable
+from scoup.field.thing_table import NameTable, ThingTable
 from scoup.io import load_gaussians
 from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, rows_of
 

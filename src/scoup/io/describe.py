@@ -10,14 +10,49 @@ from pathlib import Path
 from typing import Any
 
 from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.io.camera_sources import find_cameras
+from scoup.io.camera_sources import camera_format, find_cameras
 from scoup.io.images import image_fault
+from scoup.io.reading import read_json
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
 from scoup.io.scene_parts import usual_features
 from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
-from scoup.io.splats.formats import SplatSource, splat_source
+from scoup.io.splats.formats import SplatSource, is_splat_name, other_format, read_endings, splat_source
 from scoup.scene import Cameras, Gaussians, codes_problem, sanity_problems
+
+
+def describe_file(path: Path) -> dict[str, Any] | None:
+    """Return the description of a splat or of cameras; None for JSON of a word table."""
+    suffix = path.suffix.lower()
+    if suffix == ".json" and not is_splat_name(path):
+        return _describe_cameras_of(path) if _is_cameras(path) else None
+    if suffix in (".bin", ".txt") or (suffix != ".json" and camera_format(path)):
+        return _describe_cameras_of(path)
+    if is_splat_name(path):
+        return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
+    readable = (
+        f"read are fields (.scoup), splats ({read_endings()}), cameras (transforms.json, "
+        "cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), and folders of scenes, "
+        "region features and region sums"
+    )
+    raise FileFormatError(path, *(other_format(path) or ("is not a known kind of file", readable)))
+
+
+def _is_cameras(path: Path) -> bool:
+    """Tell whether JSON contains cameras; a FileFormatError if it is no word table either."""
+    if path.name in ("transforms.json", "cameras.json"):
+        return True
+    content = read_json(path, "cameras or a word table").value
+    if isinstance(content, list) or (isinstance(content, dict) and "frames" in content):
+        return True
+    if isinstance(content, dict) and any(isinstance(value, list) for value in content.values()):
+        return False
+    problem = "is JSON of another kind than cameras (with frames) or a word table (lists of numbers by names)"
+    raise FileFormatError(path, problem, "name the file of the splat, cameras or words itself")
+
+
+def _describe_cameras_of(path: Path) -> dict[str, Any]:
+    return {"kind": "cameras", **describe_cameras(all_cameras(path)), **describe_unreadable(path)}
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:

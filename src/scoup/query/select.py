@@ -15,8 +15,8 @@ from scoup.base import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer, answer_relevancy
 from scoup.query.ask import one_answer
-from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS, connected_parts
 from scoup.query.question import Question
+from scoup.query.things import LONGEST_LINK, NEIGHBOURS, connected_parts
 from scoup.scene import Gaussians, nearest_points
 
 MOST_STEPS = 1000

@@ -17,14 +17,18 @@ from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.connected_parts import connected_parts
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS, text_scores
 from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
-from scoup.scene import estimate_up
+from scoup.scene import estimate_up, linked_parts, nearest_points
+
+NEIGHBOURS = 8
+"""Each point is linked to so many of its nearest others."""
+LONGEST_LINK = 3.0
+"""Links longer than this times the median are cut, so that strays fall off."""
 
 MOST_LINKED = 8192
 """Of more points than these, the cells of a grid are linked instead."""
@@ -256,3 +260,15 @@ def metres_record(
         "position_metres": rounded_vector((position * metres_per_unit).tolist()),
         "extent_metres": rounded_vector((box.extent * metres_per_unit).tolist()),
     }
+
+
+def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the number [M] of the connected part of each point [M, 3].
+
+    Each point is linked to its nearest others, and links much longer than usual are cut.
+    """
+    count = min(NEIGHBOURS, len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points), np.int64)
+    nearest, lengths = nearest_points(points, count)
+    return linked_parts(nearest, lengths, LONGEST_LINK * float(np.median(lengths[:, -1])))

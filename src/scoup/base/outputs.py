@@ -1,19 +1,30 @@
-"""Outputs appear complete or not at all, and never replace a file unasked."""
+"""Outputs appear complete or not at all, replace nothing unasked, and are written by one process at a time."""
 
 from __future__ import annotations
 
 import io
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
-from scoup.base.file_names import hidden_name
-from scoup.base.locks import locked
-from scoup.base.parts import Part
+from scoup.base.errors import (
+    NO_SPACE,
+    InputError,
+    OutputExistsError,
+    OutputInUseError,
+    ScoupError,
+    WriteError,
+)
+from scoup.base.texts import hidden_name, slug
+from scoup.base.work import Part
+
+WAIT = 60.0
+"""Seconds to wait for another process that writes the same file of a shared folder."""
+held: set[Path] = set()
+"""Lock files of this process: of outputs that are being written."""
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> Path:
@@ -265,3 +276,86 @@ def _final(path: Any, output: Path, temporary: Path) -> Path | None:
     if not isinstance(path, (str, Path)) or not Path(path).is_relative_to(temporary):
         return None
     return output / Path(path).relative_to(temporary)
+
+
+@contextmanager
+def locked(output: Path, wait: float = 0.0, kind: str = "lock") -> Iterator[None]:
+    """Keep other processes from writing an output until the block ends. The folder of the output must exist.
+
+    The lock file ``.NAME.KIND`` is removed at the end. That of a killed process locks nothing: the system releases it.
+
+    Args:
+        output: the file or folder.
+        wait: seconds to wait for another process.
+        kind: of the lock; locks of different kinds exclude nobody.
+
+    Raises:
+        OutputInUseError: another process writes the output.
+        WriteError: the system refuses.
+    """
+    from filelock import FileLock, Timeout
+
+    path = output.with_name(hidden_name(output.name, kind))
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=wait, poll_interval=0.01)
+        while not path.exists():  # its holder removed it between the opening and the locking
+            lock.release(force=True)
+            lock.acquire(timeout=wait, poll_interval=0.01)
+    except Timeout:
+        raise OutputInUseError(output) from None
+    except OSError as error:
+        raise WriteError.of(output, error) from error
+    held.add(path)
+    try:
+        yield
+    finally:
+        held.discard(path)
+        with suppress(OSError):
+            path.unlink()  # while it is still locked
+        lock.release(force=True)
+
+
+@contextmanager
+def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> Iterator[Path]:
+    """Yield a hidden folder to write into; at the end everything in it moves into ``folder``.
+
+    On any error in the block, interruption included, the hidden folder is removed and ``folder`` is unchanged. Only an
+    end of the process while files move leaves some of them new and others old; each is whole.
+
+    Args:
+        folder: the files' folder; made if it is missing.
+        files: paths within the folder that are checked before the block, and moved first, in this order. Two processes
+            write into one folder at the same time if their first files differ.
+        overwrite: replace existing files.
+
+    Raises:
+        OutputExistsError, OutputInUseError, WriteError: as ``base.atomic.atomic_path``.
+    """
+    check_outputs(folder, files, overwrite)
+    # In the nearest existing folder: on the same file system, moving is only renaming.
+    home = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
+    work = home / slug(" ".join([folder.name, *files[:1]]))
+    with temporary_output(work, overwrite=True) as hidden, refusals_named(folder, hidden):
+        hidden.mkdir()
+        yield hidden
+        found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
+        first = [file for file in files if file in found]
+        _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
+
+
+def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
+    """Check that all files may be written into a folder; see ``base.atomic.check_output``."""
+    for file in files:
+        check_output(folder / file, overwrite)
+
+
+def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
+    check_outputs(folder, files, overwrite)  # another program may have written meanwhile
+    for file in files:
+        flush_to_disk(hidden / file)
+    for file in files:
+        make_folder((folder / file).parent, folder / file)
+        os.replace(hidden / file, folder / file)
+    for parent in {(folder / file).parent for file in files}:
+        flush_names(parent)

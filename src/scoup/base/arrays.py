@@ -1,16 +1,20 @@
-"""Checksums of files, arrays and headers."""
+"""Checksums of files, arrays and headers, and archives of arrays with stable bytes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from scoup.base.errors import MissingFileError, refused_read
+from scoup.base.outputs import atomic_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -80,3 +84,18 @@ def geometry_fingerprint(
     for array in (means, quats, scales, opacities):
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
+
+
+def write_npz(
+    path: str | Path, arrays: Mapping[str, np.ndarray], overwrite: bool = False, compressed: bool = False
+) -> None:
+    """Write arrays by their names, atomically."""
+    import numpy as np
+
+    # Not numpy.savez: it stamps the time of writing, and the same arrays should give the same bytes.
+    with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy")
+            entry.compress_type = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+            with archive.open(entry, "w", force_zip64=array.nbytes > 1 << 30) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
