@@ -11,11 +11,7 @@ from typing import TypeVar
 from scoup.base.errors import InputError
 
 Item = TypeVar("Item")
-
-Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-Item = TypeVar("Item")
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``: called with done = 0 before the first step and after every step."""
