@@ -42,7 +42,6 @@ from scoup.archive.search import (
     words_digest,
 )
 from scoup.base import (
-    PATH,
     WAIT,
     FileFormatError,
     InputError,
@@ -157,7 +156,7 @@ class Archive:
     """
 
     def __init__(self, folder: str | Path, encoder: Encoder | None = None) -> None:
-        check_arguments("Archive", folder=(folder, PATH))
+        check_arguments("Archive", folder=(folder, Path))
         self.folder = Path(folder)
         if self.folder.is_file():
             problem = "is a file, expected the folder of an archive"

@@ -21,7 +21,7 @@ from scoup.base.errors import (
     refused_read,
     remedy_of,
 )
-from scoup.base.inputs import PATH, check_arguments, existing_file, refuse_pointer, safetensors_damage_named
+from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
 from scoup.base.native import native_core, refusals, release_memory, require_core
@@ -31,7 +31,6 @@ from scoup.base.outputs import (
     atomic_path,
     check_output,
     check_outputs,
-    flush_names,
     flush_to_disk,
     locked,
     remove,
@@ -61,7 +60,6 @@ from scoup.base.work import Part, Progress, no_progress, reported, worked_ahead
 
 __all__ = [
     "MOST_ROWS_IN_MEMORY",
-    "PATH",
     "PREVIEW",
     "VERSION",
     "WAIT",
@@ -91,7 +89,6 @@ __all__ = [
     "data_address",
     "existing_file",
     "file_sha256",
-    "flush_names",
     "flush_to_disk",
     "geometry_fingerprint",
     "html",

@@ -10,8 +10,6 @@ from typing import Any
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
 
-PATH = (str, os.PathLike)
-"""What counts as a path."""
 _MADE_BY = {
     "Gaussians": "scoup.load_gaussians(path)",
     "Cameras": "scoup.load_cameras(path)",
@@ -76,12 +74,12 @@ def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[Non
 
 def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ...]]) -> None:
     """Refuse arguments of wrong types, in their order: name -> value and the type, or types, expected. ``function`` is
-    the name for the message."""
+    the name for the message. ``Path`` stands for all that names a path."""
     for name, (value, expected) in arguments.items():
-        if isinstance(value, expected):
-            continue
         types = expected if isinstance(expected, tuple) else (expected,)
-        wanted = "a path" if expected == PATH else types[0].__name__
+        if isinstance(value, types) or (Path in types and isinstance(value, (str, os.PathLike))):
+            continue
+        wanted = "a path" if types[0] is Path else types[0].__name__
         remedy = f"; get one from {_MADE_BY[wanted]}" if wanted in _MADE_BY else ""
         order = f" (the order is {', '.join(arguments)})" if len(arguments) > 1 else ""
         raise InputError(

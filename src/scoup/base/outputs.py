@@ -58,7 +58,7 @@ def make_folder(folder: Path, output: Path) -> None:
     except OSError as error:
         raise WriteError.of(output, error) from error
     for place in missing:
-        flush_names(place.parent)
+        _flush_names(place.parent)
 
 
 @contextmanager
@@ -155,13 +155,21 @@ def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) ->
     """Rename a complete file to its output."""
     check_output(path, overwrite)  # a program that knows no locks may have written it meanwhile
     if flush:
-        flush_to_disk(temporary)
+        _flush_content(temporary)
     os.replace(temporary, path)
     if flush:
-        flush_names(path.parent)
+        _flush_names(path.parent)
 
 
-def flush_to_disk(path: Path) -> None:
+def flush_to_disk(*files: Path) -> None:
+    """Write files to the disk, and where the file system can, the names of their folders' files."""
+    for file in files:
+        _flush_content(file)
+    for folder in {file.parent for file in files}:
+        _flush_names(folder)
+
+
+def _flush_content(path: Path) -> None:
     """Write a file to the disk: otherwise a rename may get there first."""
     try:
         _flush(path)
@@ -169,8 +177,7 @@ def flush_to_disk(path: Path) -> None:
         raise WriteError.of(path, error) from error
 
 
-def flush_names(folder: Path) -> None:
-    """Write the names of a folder's files to the disk, where the file system can."""
+def _flush_names(folder: Path) -> None:
     with suppress(OSError):
         _flush(folder)
 
@@ -353,9 +360,9 @@ def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
     check_outputs(folder, files, overwrite)  # another program may have written meanwhile
     for file in files:
-        flush_to_disk(hidden / file)
+        _flush_content(hidden / file)
     for file in files:
         make_folder((folder / file).parent, folder / file)
         os.replace(hidden / file, folder / file)
     for parent in {(folder / file).parent for file in files}:
-        flush_names(parent)
+        _flush_names(parent)

@@ -241,14 +241,14 @@ class Build:
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        from scoup.uplift import view_files
+        from scoup.uplift import stored_size
 
         if self.region_sums.keep_sums is None:
             return
         before, folder = console.kept(), self.region_sums.keep_sums
 
         def report_kept() -> str:
-            stored = len(view_files(folder))
+            stored = stored_size(folder)[0]
             return kept(f"{stored} of {views} views") if stored else before
 
         console.kept = report_kept

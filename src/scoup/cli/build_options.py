@@ -127,7 +127,7 @@ def report_field(
 ) -> None:
     """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
     from scoup.field import part_sizes
-    from scoup.uplift import stored_bytes, view_files
+    from scoup.uplift import stored_size
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
@@ -144,10 +144,9 @@ def report_field(
     )
     record: dict[str, Any] = {"field": out, **({"extraction": extraction} if extraction else {})}
     if sums is not None:
-        console.say(
-            f"{sums}: {stored_bytes(sums) / 1e6:.1f} MB of region sums, {counted(len(view_files(sums)), 'view')}"
-        )
-        record |= {"sums": sums, "sums_bytes": stored_bytes(sums)}
+        n_views, sums_bytes = stored_size(sums)
+        console.say(f"{sums}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
+        record |= {"sums": sums, "sums_bytes": sums_bytes}
     peak = _peak_gpu_memory(device)
     if peak is not None:
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")

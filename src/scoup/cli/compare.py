@@ -45,7 +45,7 @@ class CompareCaptures:
     def run(self, console: Console) -> None:
         """Compare and write."""
         from scoup.io import read_similarity
-        from scoup.query import PAGE, RECORD, compare, save_comparison
+        from scoup.query import COMPARISON_FILES, compare, save_comparison
         from scoup.view import read_words
 
         opening, device = self.opening, self.common.device
@@ -57,7 +57,7 @@ class CompareCaptures:
         new = new.with_encoder(old.encoder)
         found = compare(old, new, read_words(self.words.words), transform)
         old.encoder.close()
-        with staged(out, [RECORD, PAGE], self.common.overwrite) as hidden, console.progress() as progress:
+        with staged(out, COMPARISON_FILES, self.common.overwrite) as hidden, console.progress() as progress:
             save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
         for change in found.changes:
             thing = change.new or change.old
@@ -69,4 +69,4 @@ class CompareCaptures:
         console.say(
             f"{out}: {counted(changed, 'change')} among {found.counts[0]} and {found.counts[1]} objects"
         )
-        console.result({"out": out, "files": [RECORD, PAGE], **found.to_dict(self.metres_per_unit)})
+        console.result({"out": out, "files": COMPARISON_FILES, **found.to_dict(self.metres_per_unit)})

@@ -39,9 +39,9 @@ class Info:
 
 def _folder(path: Path) -> dict[str, Any]:
     from scoup.io import describe_folder
-    from scoup.uplift import ENDING, SCENE, fit_problem, measure_fit
+    from scoup.uplift import fit_problem, has_region_sums, measure_fit
 
-    if (path / f"{SCENE}{ENDING}").exists():
+    if has_region_sums(path):
         return _region_sums(path)
     folder = describe_folder(path)
     if not (folder.splat and folder.gaussians and folder.cameras):

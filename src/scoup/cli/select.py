@@ -172,7 +172,7 @@ class Select:
     def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
-        from scoup.query import STATE, SplatTable, edited
+        from scoup.query import SplatTable, edited
 
         left = field.gaussians
         if self.edit != "state":
@@ -185,7 +185,7 @@ class Select:
         elif self._is_plain_ply():
             rows = SplatTable.of(field, self.opening.gaussians)
             if self.edit == "state":
-                table = rows.with_column(STATE, whole.mask.byte())
+                table = rows.with_state(whole.mask)
             else:
                 table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
             write_ply_table(table, self.out, self.common.overwrite)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import PATH, InputError, check_arguments, counted
+from scoup.base import InputError, check_arguments, counted
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache
@@ -432,7 +432,7 @@ class Field:
     def _loaded(cls: type[Own], path: str | Path, gaussians: Gaussians | None, **options: Any) -> Own:
         """Return ``load`` with further arguments of the constructor."""
         optional = (Gaussians, type(None))
-        check_arguments("LanguageField.load", path=(path, PATH), gaussians=(gaussians, optional))
+        check_arguments("LanguageField.load", path=(path, Path), gaussians=(gaussians, optional))
         path = Path(path)
         parts = read_field(path)
         with field_damage_named(path):

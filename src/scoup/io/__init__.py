@@ -5,11 +5,11 @@ nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one
 """
 
 from scoup.io.camera_images import FACTORS, attach_images
-from scoup.io.camera_sources import camera_format, find_cameras, has_cameras, scene_folder
+from scoup.io.camera_sources import find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.coco import CocoAnnotations
-from scoup.io.describe import describe_cameras, describe_folder, describe_gaussians, describe_unreadable
+from scoup.io.describe import describe_file, describe_folder
 from scoup.io.detections import CONCEPTS_FOLDER, detections_of, find_detections, new_store
 from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
 from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_label_png, save_png
@@ -23,14 +23,12 @@ from scoup.io.regions.manifest import RegionManifest, read_manifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import FEATURES_FOLDER, ViewRegions
 from scoup.io.scene_parts import find_features, find_splat, usual_features
-from scoup.io.scenes import all_cameras, camera_photographs, load_cameras, load_gaussians, save_gaussians
+from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians, save_gaussians
 from scoup.io.similarity import read_similarity
 from scoup.io.splats.axes import turned, turned_direction
 from scoup.io.splats.formats import (
     format_of,
     is_splat_name,
-    other_format,
-    read_endings,
     splat_source,
     written_format,
 )
@@ -65,16 +63,12 @@ __all__ = [
     "RegionStore",
     "UsdThing",
     "ViewRegions",
-    "all_cameras",
     "as_stored",
     "attach_images",
-    "camera_format",
     "camera_photographs",
     "convert_regions",
-    "describe_cameras",
+    "describe_file",
     "describe_folder",
-    "describe_gaussians",
-    "describe_unreadable",
     "detections_of",
     "find_cameras",
     "find_detections",
@@ -92,9 +86,7 @@ __all__ = [
     "new_store",
     "open_image",
     "open_npy",
-    "other_format",
     "read_autoencoder",
-    "read_endings",
     "read_json",
     "read_langsplat",
     "read_manifest",

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from scoup.base import PATH, FileFormatError, InputError, ScoupWarning, check_arguments, counted
+from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
@@ -47,7 +47,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
         >>> gaussians.means.shape[1], gaussians.quats.shape[1]
         (3, 4)
     """
-    check_arguments("load_gaussians", path=(path, PATH))
+    check_arguments("load_gaussians", path=(path, Path))
     source = splat_source(path)
     assert source.kind.read is not None
     gaussians = source.kind.read(source.path)
@@ -99,7 +99,7 @@ def save_gaussians(
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
         >>> scoup.save_gaussians(gaussians.select(gaussians.opacities > 0.5), "opaque.ply")
     """
-    check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
+    check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, Path))
     kind = written_format(path)
     assert kind.write is not None
     if gaussians.antialiased and not kind.keeps_antialiased:
@@ -146,7 +146,7 @@ def load_cameras(
         >>> len(scoup.load_cameras("scene"))
         4
     """
-    check_arguments("load_cameras", path=(path, PATH))
+    check_arguments("load_cameras", path=(path, Path))
     if downscale not in (None, 1, 2, 4, 8):
         raise InputError(f"downscale is {downscale}, expected 1, 2, 4 or 8")
     if distorted not in ("refuse", "undistort"):

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup.base import (
-    PATH,
     InputError,
     ScoupError,
     UnknownNameError,
@@ -139,7 +138,7 @@ class TextEncoder:
             InputError: the vectors of a dict differ in size, or are not vectors.
             ScoupError: the package or the weights that the model needs are missing.
         """
-        check_arguments("TextEncoder.open", model_or_table=(model_or_table, (*PATH, Mapping)))
+        check_arguments("TextEncoder.open", model_or_table=(model_or_table, (Path, Mapping)))
         if isinstance(model_or_table, Mapping):
             return cls._of_table(WordTable.of(model_or_table))
         text = str(model_or_table)

@@ -9,7 +9,7 @@ from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.catalog_writing import catalog_files, draw_things, save_catalog, thing_mask
-from scoup.query.compare_files import PAGE, RECORD, save_comparison
+from scoup.query.compare_files import COMPARISON_FILES, save_comparison
 from scoup.query.comparison import compare
 from scoup.query.drawing import (
     Draw,
@@ -20,7 +20,7 @@ from scoup.query.drawing import (
     placed_atoms,
     relevancy_drawing,
 )
-from scoup.query.edits import STATE, SplatTable, best_camera, edit_picture, edited
+from scoup.query.edits import SplatTable, best_camera, edit_picture, edited
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
@@ -59,10 +59,8 @@ from scoup.query.view_answer import ViewAnswer, mask_box
 from scoup.query.votes import level_thresholds, select_by_relevancy
 
 __all__ = [
+    "COMPARISON_FILES",
     "LEAST_GAUSSIANS",
-    "PAGE",
-    "RECORD",
-    "STATE",
     "Answer",
     "AnswerFiles",
     "Certainty",

@@ -28,6 +28,8 @@ from scoup.query.field_view import FieldView
 from scoup.scene import Camera
 
 RECORD = "compare.json"
+COMPARISON_FILES = (RECORD, PAGE)
+"""Names of the files of a comparison, that of the record first."""
 SIDES = ("old", "new")
 TITLES: dict[str, str] = {
     **{kind: kind.capitalize() for kind in KINDS},

@@ -131,6 +131,10 @@ class SplatTable:
                 changed[name][rows] = values.rows[name]
         return replace(self.table, rows=changed)
 
+    def with_state(self, selected: Tensor) -> PlyTable:
+        """Return all rows, with the Gaussians ``selected`` [N] marked as SuperSplat marks a selection."""
+        return self.with_column(STATE, selected.byte())
+
     def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
         """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""
         return self.table.with_column(name, self._of_rows(values, missing))

@@ -13,15 +13,13 @@ from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions
 from scoup.uplift.settings import BUILD_PRESETS, BuildSettings, build_settings
-from scoup.uplift.storage.array_file import ENDING, SCENE, stored_bytes, view_files
+from scoup.uplift.storage.array_file import has_region_sums, stored_size
 from scoup.uplift.stored_sums import RegionSums, Rows
 from scoup.uplift.things import find_things
 from scoup.uplift.voting import GaussianCodes, vote
 
 __all__ = [
     "BUILD_PRESETS",
-    "ENDING",
-    "SCENE",
     "BuildSettings",
     "FieldSources",
     "GaussianCodes",
@@ -40,6 +38,7 @@ __all__ = [
     "field_from_langsplat",
     "find_things",
     "fit_problem",
+    "has_region_sums",
     "langsplat_levels",
     "measure_fit",
     "name_field",
@@ -48,8 +47,7 @@ __all__ = [
     "pack",
     "read_features",
     "region_sums",
-    "stored_bytes",
+    "stored_size",
     "transfer",
-    "view_files",
     "vote",
 ]

@@ -27,7 +27,6 @@ from scoup.base import (
     ScoupWarning,
     WriteError,
     check_format_version,
-    flush_names,
     flush_to_disk,
 )
 from scoup.raster import ViewSums, morton_order
@@ -235,10 +234,7 @@ class RegionSums:
 
     def flush(self) -> None:
         """Write the files of new views to the disk, so that a power cut loses none."""
-        for file in self._unflushed:
-            flush_to_disk(file)
-        if self.path is not None and self._unflushed:
-            flush_names(self.path)
+        flush_to_disk(*self._unflushed)
         self._unflushed.clear()
 
     def select(self, view_names: Iterable[str], rows: Rows | Callable[[], Rows]) -> RegionSums:

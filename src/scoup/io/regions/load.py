@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from scoup.base import (
-    PATH,
     FileFormatError,
     InputError,
     MissingFileError,
@@ -57,7 +56,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     """
     listed = list(cameras) if isinstance(cameras, Iterable) else [cameras]
     expected = object if all(isinstance(camera, Camera) for camera in listed) else Cameras
-    check_arguments("load_regions", folder=(folder, PATH), cameras=(cameras, expected))
+    check_arguments("load_regions", folder=(folder, Path), cameras=(cameras, expected))
     store, cameras = RegionStore.open(folder), listed
     if not cameras:
         raise InputError(f"{store.folder}: cannot load regions for no cameras; pass at least one camera")
