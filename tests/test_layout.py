@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
 import os
 import re
 from collections import Counter
@@ -16,32 +17,6 @@ import scoup
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT, LABORATORY = ROOT / "src" / "scoup", ROOT / "src" / "scoup_lab"
 DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
-EXPORTING = {
-    "scoup",
-    "scoup.base.errors",
-    "scoup.coding",
-    "scoup.field",
-    "scoup.io",
-    "scoup.pictures",
-    "scoup.raster",
-}
-"""Modules that hand on what their rooms, or all of them, export."""
-INNER = {
-    "base": "atomic backends counts existing json_node native progress records registry staging version",
-    "cli": "console options family",
-    "coding": "backends kmeans",
-    "field": "part_sizes relevancy",
-    "io": "images reading regions.views splats.ply",
-    "models": "word_table words",
-    "pictures": "colors",
-    "query": "question view_answer votes",
-    "raster": "view_sums",
-    "scene": "codes directions gaussians neighbours regions things",
-    "uplift": "build_settings provenance rasterise region_sums vote",
-    "view": "export page viewed_field",
-}
-"""Room -> its modules of which the laboratory needs more than the public names of ``scoup``."""
-
 DATA = ("scene", "base")
 """Of the rooms on the ground, the first uses the second."""
 
@@ -56,6 +31,14 @@ def floors(package: str = "scoup") -> dict[str, int]:
     """Floor of each room of a package, from its table of the document."""
     table = DOCUMENTS.split(f"| floor | room of `{package}` |")[1].split("\n\n")[0]
     return {room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)/` \|", table, re.MULTILINE)}
+
+
+def doors() -> dict[str, int]:
+    """Most names that each room's door may offer, from the table of the document."""
+    table = DOCUMENTS.split("| floor | room of `scoup` |")[1].split("\n\n")[0]
+    return {
+        room: int(count) for room, count in re.findall(r"^\| \d \| `(\w+)/` \| (\d+) \|", table, re.MULTILINE)
+    }
 
 
 def modules_of(node: ast.AST) -> list[str]:
@@ -142,19 +125,43 @@ def test_the_product_never_imports_the_laboratory() -> None:
     assert found == {("cli/app.py", False)}
 
 
-def test_what_the_laboratory_needs_of_the_product() -> None:
-    """Public names and what rooms export, and of inner modules those that are listed above."""
-    public = set(scoup.__all__)
-    inner = set()
-    for source in sources(LABORATORY).values():
-        for node in nodes(source):
-            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("scoup."):
-                continue
-            names = {alias.name for alias in node.names}
-            assert not any(name.startswith("_") for name in names)
-            if node.module not in EXPORTING and not names <= public:
-                inner.add(str(node.module).removeprefix("scoup."))
-    assert inner == {f"{room}.{name}" for room, names in INNER.items() for name in names.split()}
+def past_doors(room: str, source: str) -> list[str]:
+    """Imports of a file that reach into a room of the product that is not its own, past its door."""
+    return [
+        f"line {node.lineno}: {node.module}"
+        for node in nodes(source)
+        if isinstance(node, ast.ImportFrom | ast.Import)
+        for module in ([node.module or ""] if isinstance(node, ast.ImportFrom) else modules_of(node))
+        if module.startswith("scoup.") and module.count(".") > 1 and module.split(".")[1] != room
+    ]
+
+
+@pytest.mark.parametrize("package", [PRODUCT, LABORATORY], ids=lambda package: package.name)
+def test_rooms_are_entered_by_their_doors(package: Path) -> None:
+    found = {
+        path: past_doors(path.partition("/")[0] if package == PRODUCT else "", source)
+        for path, source in sources(package).items()
+    }
+    assert not {path: lines for path, lines in found.items() if lines}
+
+
+@pytest.mark.parametrize("room", sorted(floors()))
+def test_a_door_offers_what_others_use(room: str) -> None:
+    """No more than the table says, and nothing that no other room, example or benchmark uses."""
+    door = importlib.import_module(f"scoup.{room}")
+    used = {"main"}
+    for folder in ("src", "benchmarks", "examples", "tools", "tests"):
+        for source in sources(ROOT / folder).values():
+            for node in nodes(source):
+                if isinstance(node, ast.ImportFrom) and node.module == f"scoup.{room}":
+                    used |= {alias.name for alias in node.names}
+                elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == room:  # raster.project
+                    used.add(node.attr)
+    offered = set(door.__all__)
+    assert all(hasattr(door, name) for name in offered)
+    assert offered <= used | set(scoup.__all__)
+    assert len(offered) <= doors()[room]
+    assert door.__doc__
 
 
 @pytest.mark.parametrize("source", [

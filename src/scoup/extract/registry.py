@@ -16,26 +16,28 @@ from scoup.extract.settings import MaskSettings
 from scoup.io import read_manifest
 from scoup.models import (
     ANY_OPEN_CLIP,
+    DENSE_PREFIX,
     GROUP,
     HUB,
+    MOBILE_SAM,
+    MOBILE_SAM_FILE,
     OPEN_CLIP,
     Device,
     HubEntry,
     ModelEntry,
-    dense,
-    mobile_sam,
+    open_dense_model,
     open_image_model,
-    sam,
+    open_sam,
 )
 
 
 def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
-    model = sam.open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
+    model = open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
 
 
 def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
-    return DenseEmbedder(dense.open_dense_model(name, revision, device))
+    return DenseEmbedder(open_dense_model(name, revision, device))
 
 
 def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
@@ -48,7 +50,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
+        MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
         help="MobileSAM: the default without a GPU (8.5 s without AVX-512 BF16)", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
@@ -68,7 +70,7 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
         help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",
     ),
     ModelEntry(
-        f"{dense.PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
+        f"{DENSE_PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
         help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0, CC-BY-4.0",
         extra="models",
     ),
@@ -78,7 +80,7 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ),
     HUB,
     ModelEntry(
-        f"{dense.PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
+        f"{DENSE_PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
         help="the same models in one pass per photograph instead of one per region",
     ),
     replace(
@@ -128,7 +130,7 @@ def open_pair(
         # The manifest names a model by its hub id.
         same = begun.get(table.what) in (
             name,
-            name.removeprefix(dense.PREFIX),
+            name.removeprefix(DENSE_PREFIX),
             table.find(name).model_id(name),
         )
         return begun.get(f"{table.what}_revision") or None if same else None

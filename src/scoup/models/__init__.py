@@ -5,11 +5,12 @@ and says which text space its embeddings are in.
 """
 
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
-from scoup.models.dense import DenseModel
+from scoup.models.dense import DENSE_PREFIX, DenseModel, open_dense_model
 from scoup.models.entry import Device, HubEntry, ModelEntry
 from scoup.models.hub import OPEN_CLIP
 from scoup.models.image import open_image_model
-from scoup.models.sam import EncodedImage, PointModel
+from scoup.models.mobile_sam import MOBILE_SAM_FILE
+from scoup.models.sam import MOBILE_SAM, EncodedImage, PointModel, open_sam
 from scoup.models.text import (
     ARTICLES,
     COLORS,
@@ -30,11 +31,14 @@ __all__ = [
     "CANONICAL_PHRASES",
     "COLORS",
     "CONCEPTS",
+    "DENSE_PREFIX",
     "EVERYDAY_WORDS",
     "GROUP",
     "HUB",
     "LEAST_WORDS",
     "LONGEST",
+    "MOBILE_SAM",
+    "MOBILE_SAM_FILE",
     "NO_WORDS_FOR_COLORS",
     "OPEN_CLIP",
     "ConceptModel",
@@ -52,7 +56,9 @@ __all__ = [
     "is_table",
     "load_table",
     "open_concepts",
+    "open_dense_model",
     "open_image_model",
+    "open_sam",
     "save_table",
     "with_everyday",
 ]

@@ -22,7 +22,7 @@ from scoup.models.normalization import Normalization
 from scoup.models.towers import Tower, as_patches, load_tower, normalization_of
 from scoup.models.windows import mean_of_windows
 
-PREFIX = "dense:"  # before the model in an embedder's name
+DENSE_PREFIX = "dense:"  # before the model in an embedder's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def open_dense_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> DenseModel:
     """Load an image model ("dense:" and a folder or hub id) as a dense encoder; in 16 bits on a GPU."""
-    model_id = name.removeprefix(PREFIX)
+    model_id = name.removeprefix(DENSE_PREFIX)
     request = ModelRequest("embedder", name, WITHOUT_MODEL, model_id, revision)
     dtype = usual_dtype(device)
 

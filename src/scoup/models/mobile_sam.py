@@ -12,8 +12,8 @@ from torch import Tensor
 from scoup.base import ScoupError
 from scoup.models.tiny_vit import TinyViT
 
-HUB_ID, FILE = "dhkim2810/MobileSAM", "mobile_sam.pt"
-URL = "https://github.com/ChaoningZhang/MobileSAM/raw/master/weights/mobile_sam.pt"
+MOBILE_SAM_FILE = ("dhkim2810/MobileSAM", "mobile_sam.pt")  # repository of the hub, and the file in it
+CHECKPOINT_URL = "https://github.com/ChaoningZhang/MobileSAM/raw/master/weights/mobile_sam.pt"
 
 _RENAMES = (  # a name in the checkpoint (a pattern) -> its name in transformers
     (r"image_encoder\.(norm_head|head)\..*", ""),  # of the classifier that TinyViT was

@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.base import MissingFileError, ScoupError, file_sha256, refuse_pointer
-from scoup.models import mobile_sam
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
+from scoup.models.mobile_sam import CHECKPOINT_URL, MOBILE_SAM_FILE, sam_of_checkpoint
 from scoup.models.normalization import HALF, IMAGENET, Normalization
 from scoup.models.sam_decoder import SharedDecoder
 
@@ -199,15 +199,15 @@ def open_sam(
 
 
 def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str, half: bool) -> Sam:
-    by_hand = f"fetch {mobile_sam.URL} elsewhere and pass the path of the file instead of the name"
+    by_hand = f"fetch {CHECKPOINT_URL} elsewhere and pass the path of the file instead of the name"
     if name != MOBILE_SAM and not Path(name).is_file():
         raise MissingFileError(name, "there is no such checkpoint", by_hand)
-    request = ModelRequest("segmenter", name, WITHOUT_MODEL, mobile_sam.HUB_ID, revision, by_hand)
+    request = ModelRequest("segmenter", name, WITHOUT_MODEL, MOBILE_SAM_FILE[0], revision, by_hand)
     transformers = request.package("transformers", "models")
-    path = hub_file(request, mobile_sam.FILE) if name == MOBILE_SAM else Path(name)
+    path = hub_file(request, MOBILE_SAM_FILE[1]) if name == MOBILE_SAM else Path(name)
     refuse_pointer(path)
     try:
-        model = mobile_sam.sam_of_checkpoint(transformers, path)
+        model = sam_of_checkpoint(transformers, path)
         sha256 = file_sha256(path)
     except ScoupError as error:
         raise request.unusable(str(error)) from error

@@ -20,25 +20,45 @@ import torch
 from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
-from scoup.raster.colors import view_colors as view_colors
-from scoup.raster.combinations import CombinedLabels as CombinedLabels
-from scoup.raster.combinations import combine as combine
-from scoup.raster.decoding import cosines_from_codes as cosines_from_codes
+from scoup.raster.colors import view_colors
+from scoup.raster.combinations import CombinedLabels, combine
+from scoup.raster.decoding import cosines_from_codes
 from scoup.raster.native import NativeProjection
-from scoup.raster.ordering import AT_A_TIME
-from scoup.raster.ordering import morton_codes as morton_codes
-from scoup.raster.ordering import morton_order as morton_order
-from scoup.raster.ordering import restored as restored
-from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
-from scoup.raster.presets import RasterPreset as RasterPreset
-from scoup.raster.presets import raster_preset
+from scoup.raster.ordering import AT_A_TIME, morton_codes, morton_order, restored
+from scoup.raster.presets import RASTER_PRESETS, RasterPreset, raster_preset
 from scoup.raster.reference import ReferenceProjection
-from scoup.raster.view_sums import ViewSums as ViewSums
-from scoup.raster.view_sums import merge as merge
+from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
     from scoup.raster.triton.projection import TritonProjection
+
+__all__ = [
+    "BACKENDS",
+    "RASTER_PRESETS",
+    "CombinedLabels",
+    "PreparedGaussians",
+    "Projection",
+    "RasterPreset",
+    "ViewSums",
+    "combine",
+    "cosines_from_codes",
+    "merge",
+    "morton_codes",
+    "morton_order",
+    "prepare_gaussians",
+    "project",
+    "region_sums",
+    "render_channels",
+    "render_codes",
+    "render_colors",
+    "render_cosines",
+    "render_cosines_and_norms",
+    "render_features",
+    "render_values",
+    "restored",
+    "view_colors",
+]
 
 Projection: TypeAlias = Union[ReferenceProjection, NativeProjection, "TritonProjection"]
 
