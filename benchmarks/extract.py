@@ -18,8 +18,7 @@ from benchmarks.study import Record, Study
 from scoup.base import InputError, spread
 from scoup.extract import Masks, mask_settings
 from scoup.extract.automatic_masks import automatic_masks
-from scoup.models import EncodedImage, PointModel
-from scoup.models.sam import open_sam
+from scoup.models import EncodedImage, PointModel, open_sam
 from scoup.scene import LEVELS
 from scoup_lab.bench import markdown
 from scoup_lab.data.labels import LabelledFrame, read_labels

@@ -21,7 +21,7 @@ from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
 from scoup.extract.grids import coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
-from scoup.models.sam import open_sam
+from scoup.models import open_sam
 from support import examples
 from tiny_models import TINY_SAMS, saved
 
