@@ -98,10 +98,12 @@ SPOILED = {
 def test_arrays_that_do_not_fit_are_refused_by_name(name):
     array = scene_arrays()[name]
     for why, spoil in SPOILED.items():
+        spoiled: Any = {name: spoil(array)}
         with pytest.raises(ValueError, match=f"^{name} must be .*{why}"):
-            project(**{name: spoil(array)})
+            project(**spoiled)
     big_endian = array.astype(array.dtype.newbyteorder(">"))
-    for other in (big_endian, array.astype(object), array.astype(str), array.tolist(), None):
+    others: tuple[Any, ...] = (big_endian, array.astype(object), array.astype(str), array.tolist(), None)
+    for other in others:
         with pytest.raises(TypeError, match=f"{name}: ndarray"):
             project(**{name: other})
 
