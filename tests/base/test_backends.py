@@ -14,7 +14,7 @@ from messages import refuses, warns
 from scoup import raster
 from scoup.base import backends
 from scoup.base.backends import default_backend, load_backend, require_backend
-from scoup.base.errors import ScoupWarning, warn_once
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError, warn_once
 from scoup.uplift import vote
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda:1")
@@ -85,8 +85,10 @@ def test_gpus_that_run_the_kernels(a_gpu: None, monkeypatch: pytest.MonkeyPatch)
 @of_every_room
 def test_names_and_devices(table: dict[str, str]) -> None:
     assert set(table) == {"native", "reference", "triton"}
-    for device, name in ((CPU, "cuda"), (CPU, "triton"), (GPU, "native")):
-        with refuses():
+    for device, name, kind in (
+        (CPU, "cuda", UnknownNameError), (CPU, "triton", InputError), (GPU, "native", InputError),
+    ):  # fmt: skip
+        with refuses(kind):
             load_backend(table, device, name, "coder")
     assert load_backend(table, torch.device("meta"))[0] == "reference"
 

@@ -10,7 +10,6 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.pixel_rules import (
     CentrePixel,
     PixelWeights,
@@ -154,13 +153,3 @@ def test_the_gate_sees_a_view_as_a_whole() -> None:
             found = dict(zip(gaussian.tolist(), weight.tolist(), strict=True))
             assert found == pytest.approx(there, abs=1e-5)
             assert region.tolist() == [int(labels[centres[i]]) for i in gaussian]
-
-
-def test_all_contributors_are_the_plain_region_sums() -> None:
-    gaussians, cameras, regions = small_scene(count=50, views=2)
-    every = TopContributors(50).region_sums(gaussians, cameras, regions)
-    plain = region_sums(gaussians, cameras, regions)
-    for level in range(3):
-        np.testing.assert_allclose(
-            every.matrix(level).toarray(), plain.matrix(level).toarray(), rtol=1e-4, atol=1e-6
-        )

@@ -13,7 +13,8 @@ import torch
 from numpy.typing import NDArray
 from tests.fuzzing.containers import SUMS
 
-from scoup.base.errors import FileFormatError, InputError
+from messages import refuses
+from scoup.base.errors import FileFormatError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
@@ -47,7 +48,7 @@ def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
 def assert_vote_refuses(sums: RegionSums, backend: str, said: str) -> None:
     rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
     codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
-    with pytest.raises(InputError, match=f"region sums are damaged{said}"):
+    with refuses():
         vote(sums.select(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
 
 
@@ -58,7 +59,7 @@ def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path) 
         arrays["combinations.0"][-1] = len(arrays["table.0"])
 
     sums = RegionSums.open(changed(path, beyond))
-    with pytest.raises(InputError, match="region sums are damaged"):
+    with refuses():
         sums.triplets("view_00.png", 0)
     assert_vote_refuses(sums, "reference", "")
 
@@ -73,7 +74,7 @@ def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path) 
     ids=["none", "types", "shapes"],
 )
 def test_entries_that_are_none_are_refused_at_once(path: Path, change) -> None:
-    with pytest.raises(FileFormatError, match=r"view_00-png.*is invalid"):
+    with refuses(FileFormatError):
         RegionSums.open(changed(path, change))
 
 
@@ -123,13 +124,11 @@ def test_headers_that_make_no_sense(path: Path, old: str, new: str) -> None:
     assert old.encode() in parts[0]
     parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
     file.write_bytes(SUMS.join(whole, parts))
-    with pytest.raises(
-        FileFormatError, match=r"scene.safetensors: (is invalid|has an invalid format version)"
-    ):
+    with refuses(FileFormatError):
         RegionSums.open(path)
 
 
 def test_a_file_of_another_view(path: Path) -> None:
     (path / view_file("view_00.png")).rename(path / view_file("view_01.png"))
-    with pytest.raises(FileFormatError, match=r"view_01-png.*is invalid"):
+    with refuses(FileFormatError):
         RegionSums.open(path)
