@@ -99,14 +99,3 @@ def test_many_classes_are_queried_in_parts() -> None:
     relevancy = torch.rand(3, 50, 40, generator=generator)
     fitted, vectors, texts = known(50, relevancy, torch.ones(3, 40, dtype=torch.bool))
     assert label_gaussians(fitted, vectors, texts).equal(relevancy.amax(0).argmax(0))
-
-
-def test_relevancy_and_cosine_have_the_same_argmax_at_a_level() -> None:
-    from scoup.field.relevancy import relevancy
-
-    generator = torch.Generator().manual_seed(1)
-    cosines = torch.rand(1, 30, 500, generator=generator) * 0.1 + 0.2
-    canonical = torch.rand(1, 4, 500, generator=generator) * 0.1 + 0.2
-    found = relevancy(cosines, canonical)
-    fitted, vectors, texts = known(30, found, torch.ones(1, 500, dtype=torch.bool))
-    assert label_gaussians(fitted, vectors, texts).equal(cosines[0].argmax(0))
