@@ -18,12 +18,7 @@ from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.query.language_field import LanguageField
 from scoup.uplift import foreign
-from scoup.uplift.foreign import (
-    field_from_features,
-    field_from_langsplat,
-    langsplat_levels,
-    read_features,
-)
+from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
 from support import unit
 
 
