@@ -1,7 +1,7 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
 # make test   create the environment, install, run the tests (three processes of one thread each: some wait; about six minutes)
-# make test-all   the same, then all random examples, the exhaustive sweeps, and the engines that are installed (about half an hour)
-# make test-engines   the examples of many machines under Slurm (Debian's slurm-wlm and munge; needs root) and Ray
+# make test-all   the same, then all random examples, the exhaustive sweeps, and Ray where it is installed (about half an hour)
+# make test-engines   the examples of many machines with Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make lint   ruff, spelling and pyright; the types of the viewer's page
 # make docs   the site of the documents, in site/; fails where a link leads nowhere

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +9,8 @@ import pytest
 from benchmarks.things import FACTS, VIEWER
 
 import scoup
-from cli_support import run, run_json
-from scoup.query import thing_mask
+from cli_support import run
+from scoup.query.catalog_files import thing_mask
 from scoup.query.phrases import Phrase, parse_phrase
 from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
@@ -111,27 +109,3 @@ def test_facts_and_their_converses_are_answered_alike(desk: Path, built: Path) -
             assert field.things(field.question(converse, frame=frame)), converse
             told += 1
     assert told > 8
-
-
-def test_every_verb_answers(desk: Path, built: Path, tmp_path: Path) -> None:
-    words = ("--text", desk / "desk_words.npz")
-    record = run_json("query", built, *NAMES, *words, "--camera", "input_0001", "--out", tmp_path / "query")
-    assert [answer["text"] for answer in record["answers"]] == list(NAMES)
-    assert all(answer["present"] for answer in record["answers"])
-    for name in NAMES:
-        splat = tmp_path / f"{name}.ply"
-        record = run_json("select", built, name, *words, "--out", splat)
-        assert 50 < len(scoup.load_gaussians(splat)) < record["gaussians"] // 4
-    record = run_json("label", built, *NAMES, *words, "--out", tmp_path / "labels")
-    labels = np.load(tmp_path / "labels" / "labels.npy")
-    assert set(np.unique(labels)) == {-1, 0, 1, 2}
-
-
-def test_the_viewer_answers(desk: Path, built: Path) -> None:
-    pytest.importorskip("starlette")
-    field = scoup.LanguageField.load(built, words=desk / "desk_words.npz")
-    with scoup.open_viewer(field) as viewer:
-        body = json.dumps({"texts": list(NAMES)}).encode()
-        with urllib.request.urlopen(urllib.request.Request(f"{viewer.address}api/query", body)) as answer:
-            answers = json.load(answer)["answers"]
-    assert [answer["text"] for answer in answers] == list(NAMES)

@@ -14,7 +14,7 @@ from cli.conftest import original as original
 from scoup.field import Cache
 from scoup.query import FieldView
 
-ANSWERS = (
+ANSWERS = [
     "question",
     "answer",
     "at",
@@ -25,7 +25,7 @@ ANSWERS = (
     "frame",
     "select",
     "label",
-)
+]
 NAMES = [name for name in scoup.__all__ if name != "__version__"]
 
 

@@ -1,172 +1,102 @@
-"""What stands around the code: workflows, containers, community files and the tools of a release name what is there."""
+"""What stands around the code: documents, workflows, containers and the tools of a release name what is there.
+
+`make docs` follows the links of the site from page to page.
+"""
 
 from __future__ import annotations
 
-import fnmatch
+import ast
 import json
 import re
 import shlex
-from collections.abc import Iterator
+import unicodedata
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from tools import check_distributions
+from tools import check_distributions, site_hooks
 
-from scoup.base import VERSION
+import scoup
 from scoup.base.errors import FieldVersionError
 from scoup.view.viewer import PORT
 
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.glob("*.md")])
 PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-FOLDER = ROOT / ".github" / "workflows"
-WORKFLOWS = sorted(path.stem for path in FOLDER.glob("*.yml"))
-RECIPES = sorted((ROOT / "docker").glob("Dockerfile*"))
-TEXTS = (
-    "CONTRIBUTING.md",
-    "SECURITY.md",
-    "CODE_OF_CONDUCT.md",
-    "docs/versions.md",
-    ".github/pull_request_template.md",
-)
-OWN = ("benchmarks", "examples", "scoup", "tools")
-"""Packages of this repository that a step may run with python -m."""
-every_workflow = pytest.mark.parametrize("name", WORKFLOWS)
+WORKFLOWS = {
+    path.stem: yaml.safe_load(path.read_text()) for path in (ROOT / ".github" / "workflows").glob("*.yml")
+}
+TEXTS = ("CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "docs/versions.md",
+         ".github/pull_request_template.md")  # fmt: skip
 
 
-def load(name: str) -> dict[str, Any]:
-    return yaml.safe_load((FOLDER / f"{name}.yml").read_text(encoding="utf-8"))
+# Documents.
 
 
-def steps(name: str) -> list[dict[str, Any]]:
-    return [step for content in load(name)["jobs"].values() for step in content.get("steps", ())]
+def anchors(path: Path) -> set[str]:
+    """Of the headings of a document, as GitHub and the site make them."""
+    text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+    found = set()
+    for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
+        plain = unicodedata.normalize("NFC", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower().strip())
+        found.add("".join(char for char in plain if char.isalnum() or char in "-_ ").replace(" ", "-"))
+    return found
 
 
-def commands(name: str) -> Iterator[list[str]]:
-    """The words of every command that a workflow runs."""
-    for step in steps(name):
-        for line in re.split(r"\n|&&|\|\|", step.get("run", "")):
-            words = shlex.split(line.partition(" > ")[0], comments=True)
-            while words and re.fullmatch(r"\w+=.*", words[0]):
-                words = words[1:]
-            if words:
-                yield words
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"(https?|mailto):", link):
+            assert re.match(r"https?://[\w.-]+\.[a-z]+(/\S*)?$|mailto:\S+@\S+$", link), link
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), link
+        if anchor and target.suffix == ".md":
+            assert anchor in anchors(target), link
 
 
-def is_module(name: str) -> bool:
-    places = [folder / Path(*name.split(".")) for folder in (ROOT, ROOT / "src")]
-    return any(place.with_suffix(".py").is_file() or (place / "__main__.py").is_file() for place in places)
+def test_errors_of_the_questions_are_those_of_the_program() -> None:
+    nodes = (node for path in (ROOT / "src").rglob("*.py") for node in ast.walk(ast.parse(path.read_text())))
+    said = "\n".join(str(node.value) for node in nodes if isinstance(node, ast.Constant))
+    headings = re.findall(r"^### `(.*)`$", (DOCS / "faq.md").read_text(), re.MULTILINE)
+    assert len(headings) > 10
+    for heading in headings:
+        for part in heading.split("…"):
+            assert part.strip() in said, heading
+    assert f"> {FieldVersionError('FILE', 2, 1)}" in (DOCS / "versions.md").read_text()
 
 
-@every_workflow
-def test_what_is_run_is_there(name: str) -> None:
-    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    for words in commands(name):
-        if words[0] == "make":
-            assert words[1] in targets
-        elif re.fullmatch(r"(\S+/)?python", words[0]) and words[1] == "-m":
-            assert words[2].split(".")[0] not in OWN or is_module(words[2]), words
-        elif re.fullmatch(r"(\S+/)?python", words[0]):
-            assert (ROOT / words[1]).is_file(), words
-
-
-@every_workflow
-def test_nothing_is_permitted_but_where_it_is_needed(name: str) -> None:
-    """Actions are pinned by commit, and what an event says does not become part of a command: variables carry it."""
-    assert load(name)["permissions"] == {}
-    for job, content in load(name)["jobs"].items():
-        if name != "release" and "deploy" not in job:
-            assert content["permissions"] == {"contents": "read"}, job
-    for step in steps(name):
-        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step.get("uses", f"a/b@{'0' * 40}")), step
-        assert "${{" not in step.get("run", "")
-        if step.get("uses", "").startswith("actions/checkout@"):
-            assert step["with"]["persist-credentials"] is False
-
-
-def test_versions_of_python_are_tested_and_have_wheels() -> None:
-    served = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', PYPROJECT)
-    assert load("tests")["jobs"]["test"]["strategy"]["matrix"]["python"] == served
-    assert f'requires-python = ">={served[0]}"' in PYPROJECT
-    (build,) = re.findall(r"^build = (\[.*?\])", PYPROJECT, re.MULTILINE | re.DOTALL)
-    stable = re.findall(r'^wheel.py-api = "cp3(\d+)"$', PYPROJECT, re.MULTILINE)[0]
-    built = re.findall(r'"cp3(\d+)-\*"', build)
-    assert [f"3.{minor}" for minor in built] == served
-    # One wheel for each version before the stable interface, and one for all from there on.
-    own = [f"cp3{minor}-cp3{minor}" for minor in built if int(minor) < int(stable)]
-    assert list(check_distributions.PYTHONS) == [*own, f"cp3{stable}-abi3"]
-    parts = re.findall(r"^archs = (\[.*\])$", PYPROJECT, re.MULTILINE)
-    matrix = load("wheels")["jobs"]["wheels"]["strategy"]["matrix"]["include"]
-    assert sorted(each["archs"] for each in matrix) == sorted(
-        arch for part in parts for arch in json.loads(part)
+def test_public_names_pages_and_pictures_have_their_places() -> None:
+    named = re.findall(r"^::: ([\w.]+)", (DOCS / "api.md").read_text(), re.MULTILINE)
+    missing = set(scoup.__all__) - {"__version__"} - {name.rpartition(".")[2] for name in named}
+    assert missing == {"ScoupError", "ScoupWarning"}  # with all errors, by their module
+    assert "scoup.base.errors" in named
+    nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    made = {"verbs.md", *site_hooks.FROM_ROOT}
+    assert sorted(re.findall(r": ([\w/]+\.md)$", nav, re.MULTILINE)) == sorted(
+        {path.name for path in DOCS.glob("*.md")} | made
     )
+    table = (ROOT / "CONTRIBUTING.md").read_text().partition("### Pictures\n")[2]
+    pictures = re.findall(r"`([\w-]+\.(?:jpg|png))`", table)
+    assert sorted(pictures) == sorted(path.name for path in (DOCS / "images").iterdir())
 
 
-def test_what_is_published_has_the_hashes_that_were_checked() -> None:
-    for name, job in load("release")["jobs"].items():
-        of_job = job.get("steps", ())
-        taken = [
-            place for place, step in enumerate(of_job) if str(step.get("with", {}).get("pattern")) == "dist-*"
-        ]
-        if taken:
-            assert "sha256sum --check --strict" in of_job[taken[0] + 1].get("run", ""), name
-        assert taken or not any("publish" in step.get("uses", "") for step in of_job)
-    wanted = re.findall(
-        r"^([\w-]+)(?:\[\w+\])?(==\S+)?$", (ROOT / ".github/tools.in").read_text(), re.MULTILINE
+def test_links_out_of_the_documents_lead_to_the_repository() -> None:
+    text = "[a](../examples) [b](../CONTRIBUTING.md#x) [c](benchmarks/query.json) [d](../examples/00_pipeline.py)"
+    assert site_hooks.outside(text, "R") == (
+        "[a](R/tree/main/examples) [b](contributing.md#x) [c](R/blob/main/docs/benchmarks/query.json) "
+        "[d](examples/00_pipeline.md)"
     )
-    locked = (ROOT / ".github/tools.txt").read_text()
-    for name, version in wanted:
-        pinned = rf"^{name}{re.escape(version) or '=='}\S* \\\n    --hash=sha256:"
-        assert re.search(pinned, locked, re.MULTILINE), name
-    for words in [*commands("wheels"), *commands("release")]:
-        assert "pip" not in words or words[0] == "uv" or "--require-hashes" in words, words
-
-
-def lines(path: Path) -> list[tuple[str, str]]:
-    """Instruction and arguments of each line of a recipe, comments left out and continued lines joined."""
-    text = re.sub(r"^#.*\n", "", path.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
-    return [(words[0], words[1]) for line in text.splitlines() if len(words := line.split(maxsplit=1)) == 2]
-
-
-def is_sent(path: str) -> bool:
-    """Whether .dockerignore lets a path of the repository through: the last pattern that fits it decides."""
-    sent = True
-    parents = [path, *(str(parent) for parent in Path(path).parents)]
-    for pattern in (ROOT / ".dockerignore").read_text().splitlines():
-        bare = pattern.removeprefix("!").removeprefix("**/")
-        fits = any(fnmatch.fnmatch(each, bare) or fnmatch.fnmatch(Path(each).name, bare) for each in parents)
-        if pattern and fits:
-            sent = pattern.startswith("!")
-    return sent
-
-
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
-def test_containers_have_what_they_need(path: Path) -> None:
-    copies = [
-        rest.split()[:-1] for word, rest in lines(path) if word == "COPY" and not rest.startswith("--from")
-    ]
-    copied = {source for sources in copies for source in sources}
-    needed = re.findall(
-        r'^(?:readme|cmake\.source-dir) = "(\S+)"|backend-path = \["(\S+)"\]', PYPROJECT, re.MULTILINE
-    )
-    assert {"pyproject.toml", "src", "viewer", "native", "tools", *map("".join, needed)} <= copied
-    for source in copied:
-        assert (ROOT / source).exists(), source
-        assert is_sent(source), source
-    section = PYPROJECT.split("[project.optional-dependencies]")[1].split("\n[")[0]
-    (extras,) = [
-        rest.removeprefix("EXTRAS=").split(",") for _, rest in lines(path) if rest.startswith("EXTRAS=")
-    ]
-    assert {"view", "models"} <= set(extras) <= set(re.findall(r"^([\w-]+) = \[", section, re.MULTILINE))
-    last = dict(lines(path))
-    assert last["USER"] not in ("root", "0", "0:0")
-    assert last["EXPOSE"] == str(PORT)
+    assert site_hooks.in_docs("[a](docs/gpu.md#z) [b](LICENSE)") == "[a](gpu.md#z) [b](../LICENSE)"
 
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_paths_in_texts_exist(name: str) -> None:
-    """Those in backticks, but for names of users' files; test_site.py follows links."""
+    """Those in backticks, but for names of users' files."""
     found = re.findall(r"`(\.?[\w-]+(?:/[\w.-]+)+/?|[\w-]+\.(?:md|toml|cff))`", (ROOT / name).read_text())
     of_users = re.compile(r"NAME|FOLDER|regions\.json|\.venv/")
     assert [path for path in found if not (ROOT / path).exists() and not of_users.search(path)] == []
@@ -182,5 +112,78 @@ def test_the_repository_has_one_address_and_the_citation_this_version() -> None:
     assert "not the paper's authors" in citation["authors"][0]["name"]
 
 
-def test_the_sentence_of_refusal_is_the_real_one() -> None:
-    assert f"> {FieldVersionError('FILE', 2, 1)}" in (ROOT / "docs" / "versions.md").read_text()
+# Workflows, and what they publish.
+
+
+def steps(name: str) -> list[dict[str, Any]]:
+    return [step for content in WORKFLOWS[name]["jobs"].values() for step in content.get("steps", ())]
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_nothing_is_permitted_but_where_it_is_needed(name: str) -> None:
+    """Actions are pinned by commit, and what an event says does not become part of a command: variables carry it."""
+    assert WORKFLOWS[name]["permissions"] == {}
+    for job, content in WORKFLOWS[name]["jobs"].items():
+        if name != "release" and "deploy" not in job:
+            assert content["permissions"] == {"contents": "read"}, job
+    for step in steps(name):
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step.get("uses", f"a/b@{'0' * 40}")), step
+        assert "${{" not in step.get("run", "")
+        if step.get("uses", "").startswith("actions/checkout@"):
+            assert step["with"]["persist-credentials"] is False
+
+
+def test_versions_of_python_are_tested_and_have_wheels() -> None:
+    served = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', PYPROJECT)
+    assert WORKFLOWS["tests"]["jobs"]["test"]["strategy"]["matrix"]["python"] == served
+    assert f'requires-python = ">={served[0]}"' in PYPROJECT
+    (build,) = re.findall(r"^build = (\[.*?\])", PYPROJECT, re.MULTILINE | re.DOTALL)
+    stable = re.findall(r'^wheel.py-api = "cp3(\d+)"$', PYPROJECT, re.MULTILINE)[0]
+    built = re.findall(r'"cp3(\d+)-\*"', build)
+    assert [f"3.{minor}" for minor in built] == served
+    # One wheel for each version before the stable interface, and one for all from there on.
+    own = [f"cp3{minor}-cp3{minor}" for minor in built if int(minor) < int(stable)]
+    assert list(check_distributions.PYTHONS) == [*own, f"cp3{stable}-abi3"]
+    parts = re.findall(r"^archs = (\[.*\])$", PYPROJECT, re.MULTILINE)
+    matrix = WORKFLOWS["wheels"]["jobs"]["wheels"]["strategy"]["matrix"]["include"]
+    assert sorted(each["archs"] for each in matrix) == sorted(
+        arch for part in parts for arch in json.loads(part)
+    )
+
+
+def test_what_is_published_has_the_hashes_that_were_checked() -> None:
+    for name, job in WORKFLOWS["release"]["jobs"].items():
+        of_job = job.get("steps", ())
+        taken = [
+            place for place, step in enumerate(of_job) if str(step.get("with", {}).get("pattern")) == "dist-*"
+        ]
+        if taken:
+            assert "sha256sum --check --strict" in of_job[taken[0] + 1].get("run", ""), name
+        assert taken or not any("publish" in step.get("uses", "") for step in of_job)
+    wanted = re.findall(
+        r"^([\w-]+)(?:\[\w+\])?(==\S+)?$", (ROOT / ".github/tools.in").read_text(), re.MULTILINE
+    )
+    locked = (ROOT / ".github/tools.txt").read_text()
+    for name, version in wanted:
+        pinned = rf"^{name}{re.escape(version) or '=='}\S* \\\n    --hash=sha256:"
+        assert re.search(pinned, locked, re.MULTILINE), name
+    for step in [*steps("wheels"), *steps("release")]:
+        for line in re.split(r"\n|&&|\|\|", step.get("run", "")):
+            words = shlex.split(line, comments=True)
+            assert "pip" not in words or words[0] == "uv" or "--require-hashes" in words, words
+
+
+@pytest.mark.parametrize("name", ["Dockerfile", "Dockerfile.cuda"])
+def test_containers_have_what_they_need(name: str) -> None:
+    text = re.sub(r"^#.*\n", "", (ROOT / "docker" / name).read_text(), flags=re.MULTILINE).replace(
+        "\\\n", " "
+    )
+    copies = re.findall(r"^COPY (?!--from)(.*) \S+$", text, re.MULTILINE)
+    copied = {source for sources in copies for source in sources.split()}
+    needed = re.findall(
+        r'^(?:readme|cmake\.source-dir) = "(\S+)"|backend-path = \["(\S+)"\]', PYPROJECT, re.MULTILINE
+    )
+    assert {"pyproject.toml", "src", "viewer", "native", "tools", *map("".join, needed)} <= copied
+    assert all((ROOT / source).exists() for source in copied)
+    assert re.findall(r"^USER (.*)$", text, re.MULTILINE)[-1] not in ("root", "0", "0:0")
+    assert re.findall(r"^EXPOSE (.*)$", text, re.MULTILINE) == [str(PORT)]

@@ -41,29 +41,20 @@ def events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, s
     return found
 
 
-def test_a_file_and_a_path(events: list[tuple[str, str]]) -> None:
+def test_what_is_written_is_flushed_before_it_is_named(events: list[tuple[str, str]], tmp_path: Path) -> None:
     expected = [("flush", "content"), ("rename", "a"), ("flush", "folder")]
-    with atomic_file("a") as stream:
-        stream.write(b"content")
-    assert events == expected
-    with atomic_path("a", overwrite=True) as path:
-        path.write_text("content")
-    assert events == 2 * expected
-
-
-def test_folders_that_are_made(events: list[tuple[str, str]]) -> None:
     with atomic_file("new/one/a") as stream:
         assert events == [("flush", "folder")] * 2  # of the folders that "new" and "one" are in
         stream.write(b"content")
-    assert events[2:] == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
-
-
-def test_files_that_appear_together(events: list[tuple[str, str]], tmp_path: Path) -> None:
-    with staged(tmp_path / "new") as hidden:
+    with atomic_path("a") as path:
+        path.write_text("content")
+    assert events[2:] == 2 * expected
+    events.clear()
+    with staged(tmp_path / "all") as hidden:
         (hidden / "a").write_text("first")
         (hidden / "b").write_text("second")
     assert events == [
-        ("flush", "first"), ("flush", "second"), ("flush", "folder"),  # of the folder that "new" is in
+        ("flush", "first"), ("flush", "second"), ("flush", "folder"),  # of the folder that "all" is in
         ("rename", "a"), ("rename", "b"), ("flush", "folder"),
     ]  # fmt: skip
 
@@ -76,10 +67,9 @@ def test_a_disk_that_refuses(write: Callable, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(os, "fsync", refuse)
     path = tmp_path / "a"
 
-    def work() -> None:
-        with write(path) as target:
-            target.write_text("x") if isinstance(target, Path) else target.write(b"x")
-
-    with pytest.raises(WriteError, match=rf"^{path}: cannot be written \(Input/output error\)"):
-        work()
+    with (
+        pytest.raises(WriteError, match=rf"^{path}: cannot be written \(Input/output error\)"),
+        write(path) as target,
+    ):
+        target.write_text("x") if isinstance(target, Path) else target.write(b"x")
     assert not list(tmp_path.iterdir())

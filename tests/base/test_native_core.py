@@ -10,8 +10,9 @@ from unittest.mock import Mock
 
 import pytest
 
+from messages import check_message, refuses, warns
 from scoup.base import native
-from scoup.base.errors import InputError, ScoupWarning, warn_once
+from scoup.base.errors import ScoupWarning, warn_once
 
 MODULE = "scoup._native"
 
@@ -64,23 +65,13 @@ def test_a_core_that_was_built(core):
 
 
 @pytest.mark.usefixtures("no_core")
-@pytest.mark.parametrize(("platform", "remedy"), [
-    ("linux", "apt install g++"),
-    ("darwin", "xcode-select --install"),
-    ("win32", "clang-cl"), ("sunos5", "a C++ compiler, then"),
-])  # fmt: skip
-def test_a_core_that_was_not_built(monkeypatch, platform, remedy):
+@pytest.mark.parametrize("platform", ["linux", "darwin", "win32", "sunos5"])
+def test_a_core_that_was_not_built(monkeypatch, platform):
+    """The message says how a compiler is installed, and a warning says it once."""
     monkeypatch.setattr(sys, "platform", platform)
     assert native.native_core() is None
-    reason = native.missing_reason()
-    assert reason is not None
-    assert reason.startswith("the compiled core was not built; install a C++ compiler")
-    assert remedy in reason
-
-
-@pytest.mark.usefixtures("no_core")
-def test_the_user_is_warned_once():
-    with pytest.warns(ScoupWarning, match="slower code serves: the compiled core was not built"):
+    check_message(native.missing_reason() or "")
+    with warns(ScoupWarning):
         native.warn_if_missing()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -94,10 +85,7 @@ def test_the_user_is_warned_once():
 def test_a_core_that_does_not_load(monkeypatch, error):
     monkeypatch.setattr(native.importlib, "import_module", Mock(side_effect=error))
     assert native.native_core() is None
-    reason = native.missing_reason()
-    assert reason is not None
-    assert reason.startswith(f"the compiled core does not load ({' '.join(str(error).split())}); install")
-    assert "\n" not in reason
+    check_message(native.missing_reason() or "")
 
 
 @pytest.mark.usefixtures("core")
@@ -115,13 +103,11 @@ def test_an_instruction_set_that_the_user_wants(core, monkeypatch):
 
 
 @pytest.mark.usefixtures("core")
-@pytest.mark.parametrize(("setting", "problem"), [
-    ("v4", "'v4', but this CPU or this build has no such instruction set"), ("fast", "one of off, baseline, v3, v4"),
-])  # fmt: skip
-def test_settings_that_cannot_be_used(monkeypatch, setting, problem):
+@pytest.mark.parametrize("setting", ["v4", "fast"])
+def test_settings_that_cannot_be_used(monkeypatch, setting):
     monkeypatch.setenv("SCOUP_NATIVE", setting)
     for ask in (native.native_core, native.missing_reason, native.warn_if_missing):
-        with pytest.raises(InputError, match=problem):
+        with refuses():
             ask()
 
 

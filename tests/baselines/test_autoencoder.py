@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-from scoup.base import InputError
+from messages import refuses
 from scoup_lab.baselines.autoencoder import (
     LANGSPLAT,
     AutoencoderSettings,
@@ -79,13 +78,10 @@ def test_rows_of_norm_zero_are_left_out() -> None:
     assert torch.equal(codes[1:-2], plain.encode(rows))
     assert not codes[[0, -2, -1]].any()
     assert not fitted.decode(codes)[[0, -2, -1]].any()
-
-
-@pytest.mark.parametrize("rows", [torch.zeros(0, 5), torch.zeros(4, 5)])
-def test_nothing_to_learn_from(rows: Tensor) -> None:
-    fitted = fit_autoencoder(rows, SMALL)
-    assert fitted.encode(rows).shape == (len(rows), 3)
-    assert not fitted.encode(rows).any()
+    for nothing in (torch.zeros(0, 5), torch.zeros(4, 5)):
+        codes = fit_autoencoder(nothing, SMALL).encode(nothing)
+        assert codes.shape == (len(nothing), 3)
+        assert not codes.any()
 
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 33])
@@ -98,12 +94,9 @@ def test_any_number_of_rows(count: int) -> None:
     assert seen == [("autoencoder", done, steps) for done in range(steps + 1)]
 
 
-@pytest.mark.parametrize(("rows", "changes", "problem"), [
-    (torch.zeros(3), {}, "must be"),
-    (torch.zeros(3, 4, dtype=torch.long), {}, "floating-point"),
-    (torch.tensor([[1.0, float("nan")]]), {}, "not finite"),
-    (torch.ones(3, 4), {"epochs": -1}, "negative"),
-])  # fmt: skip
-def test_bad_input_is_refused(rows: Tensor, changes: dict[str, Any], problem: str) -> None:
-    with pytest.raises(InputError, match=problem):
-        fit_autoencoder(rows, replace(SMALL, **changes))
+def test_bad_input_is_refused() -> None:
+    for rows in (torch.zeros(3), torch.zeros(3, 4, dtype=torch.long), torch.tensor([[1.0, float("nan")]])):
+        with refuses():
+            fit_autoencoder(rows, SMALL)
+    with refuses():
+        fit_autoencoder(torch.ones(3, 4), replace(SMALL, epochs=-1))

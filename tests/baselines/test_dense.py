@@ -5,12 +5,10 @@ from __future__ import annotations
 import torch
 
 from scoup import raster
-from scoup.field import FieldInfo, relevancy
-from scoup.query import LanguageField
-from scoup.scene import SparseCodes
-from scoup.uplift import region_sums
+from scoup.field.relevancy import relevancy
+from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.dense import dense_features, mean_features
-from scoup_lab.baselines.fitted import FittedChannels, FittedField
+from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from support import small_scene, unit
@@ -52,34 +50,3 @@ def test_relevancy_is_that_of_the_rendered_features() -> None:
             (image @ queries.T).permute(2, 0, 1)[None], (image @ canonical.T).permute(2, 0, 1)[None]
         )
         assert torch.allclose(found[level], expected[0], atol=1e-6)
-
-
-def every_atom_kept(accumulators: torch.Tensor, codebook: torch.Tensor) -> FittedField:
-    """The field of codes that keep every entry of [N, S, L]."""
-    levels = [SparseCodes.from_dense(level, accumulators.shape[2]) for level in accumulators.unbind(1)]
-    indices, weights = ([getattr(level, name) for level in levels] for name in ("indices", "weights"))
-    info = FieldInfo(("s", "m", "l"), "", "", len(accumulators), "inria")
-    field = LanguageField(torch.stack(indices, 1), torch.stack(weights, 1), codebook, info)
-    return FittedField(field, all_kept=True)
-
-
-def test_with_an_atom_for_every_region_sparse_uplift_is_dense_uplift() -> None:
-    """Codes that are exact and a vote that keeps all lose nothing."""
-    gaussians, cameras, regions = small_scene(count=80, views=2, regions=4)
-    scene = RasterisedScene(gaussians, cameras, regions)
-    dense = METHODS["dense"].fit(scene)
-    assert isinstance(dense, FittedChannels)
-    sums, codebook = scene.region_sums(), torch.stack(list(scene.inputs().embeddings))
-    accumulators = torch.stack([torch.from_numpy(sums.matrix(s).toarray()) for s in range(3)], 1)
-    # Per Gaussian the two differ by the length of its mean embedding, which dense uplift normalises away; a scene
-    # of one Gaussian has no such weights to differ in.
-    one = torch.zeros(80, dtype=torch.bool)
-    one[int(accumulators.sum((1, 2)).argmax())] = True
-    projection = raster.project(gaussians.select(one), cameras[0])
-    queries = unit(torch.randn(3, 16))
-    single = every_atom_kept(accumulators[one], codebook).relevancy(projection, queries, queries)
-    alone = FittedChannels([features[one] for features in dense.channels], dense.cosines, 0.0)
-    expected = alone.relevancy(projection, queries, queries)
-    assert torch.allclose(single, expected, atol=2e-3)  # float16 weights
-    assert dense.bytes_per_gaussian == 3 * 16 * 4
-    assert every_atom_kept(accumulators, codebook).bytes_per_gaussian == 3 * 8 * 2

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import UnknownNameError
-from scoup.field import relevancy
-from scoup.scene import RegionMap, Regions, SparseCodes
-from scoup.uplift import BUILD_PRESETS, BuildSettings, build
+from scoup.field.relevancy import relevancy
+from scoup.scene.codes import SparseCodes
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup_lab.baselines.joint_codes import JointSettings
@@ -136,37 +136,11 @@ def test_the_three_numbers_of_a_gaussian_are_the_mean_of_those_of_its_regions(sc
         assert torch.allclose(fitted.channels[level], unit(expected), atol=1e-4)
 
 
-def test_a_trained_autoencoder_gives_back_what_a_gaussian_shows(scene: RasterisedScene) -> None:
-    """With few things to tell apart, what is decoded from a Gaussian's three numbers is the embedding of its thing, and
-    asking for that thing finds it."""
-    things = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(5)))
-    plain = scene.regions
-
-    def load(view: str, level: str) -> RegionMap:
-        labels = plain.load(view, level).labels
-        return RegionMap(torch.where(labels >= 0, labels % 4, -1).int(), things)
-
-    four = RasterisedScene(scene.gaussians, scene.cameras, Regions(plain.levels, plain.view_names, load))
-    schedule = AutoencoderSettings(epochs=300, batch=16, learning_rate=1e-2, encoder=(16, 3), decoder=(16,))
-    fitted = METHODS["autoencoder"].fit(four, replace(SETTINGS, autoencoder=schedule))
-    mostly = torch.from_numpy(four.region_sums().matrix(1).toarray()).view(60, -1, 4).sum(1)
-    own = mostly / mostly.sum(1, keepdim=True).clamp(min=1e-9)
-    sure = (own.max(1).values > 0.7) & fitted.coded()[1]
-    assert sure.sum() >= 5
-    found = fitted.gaussian_relevancy(things, unit(torch.randn(3, 16)))[1]  # [Q, N]
-    assert torch.equal(found[:, sure].argmax(0), own[sure].argmax(1))
-
-
 def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
     sizes = [
         Method("", QuantisedUplift(parts)).fit(scene, SETTINGS).bytes_per_gaussian for parts in (4, 7, 64)
     ]
     assert sizes == [3 * 4, 3 * 4, 3 * 16]  # the largest divisor of 16 that is not more
-
-
-def test_unknown_method() -> None:
-    with pytest.raises(UnknownNameError, match="dense"):
-        METHODS["dens"]
 
 
 def test_the_table_of_methods_names_each_once() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from messages import refuses
 from scoup import raster
-from scoup.base import InputError
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.baselines.view_weights import rendered, weights_of_views
 from support import small_scene
@@ -38,5 +38,5 @@ def test_members_are_those_that_paint() -> None:
 
 
 def test_a_width_of_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="one pixel or more, got 0"):
+    with refuses():
         weights_of_views(RasterisedScene(*small_scene(20, views=1)), 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from messages import refuses
 from scoup import raster
 from scoup.base import InputError, UnknownNameError
 from scoup_lab.bench.stages import STAGES, random_workload, stage_runs, usable_backends
@@ -38,31 +39,16 @@ def test_every_stage_runs(work, backend):
     assert results["vote"].indices.shape == results["vote"].weights.shape == (300, 3, 4)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_vote_is_over_what_is_painted(work, backend):
-    runs = stage_runs(work, backend, ["sums", "vote"])
-    painting = runs["sums"]().gaussian.unique().long()
-    weights = runs["vote"]().weights
-    painted = torch.zeros(300, dtype=torch.bool)
-    painted[painting] = True  # every pixel has a region at every level
-    expected = painted[:, None].expand(300, 3).float()
-    torch.testing.assert_close(weights.sum(2), expected)
-
-
-def test_stages_in_the_order_wanted(work):
+def test_stages_and_backends_are_those_wanted(work, monkeypatch: pytest.MonkeyPatch):
     assert list(stage_runs(work, "reference", ["vote", "project"])) == ["vote", "project"]
-    with pytest.raises(InputError, match="no stage 'paint'; stages: project, alpha"):
+    with refuses():
         stage_runs(work, "reference", ["paint"])
-
-
-def test_backends_that_do_not_work_are_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(raster.BACKENDS, "broken", "scoup.raster.no_such_module")
     found, reasons = usable_backends()
     assert "reference" in found
     assert "broken" not in found
     assert "no_such_module" in reasons["broken"]
-    with pytest.raises(InputError, match="backend 'broken' does not work here"):
-        usable_backends(["broken"])
-    with pytest.raises(UnknownNameError):
-        usable_backends(["nonsense"])
+    for name, kind in (("broken", InputError), ("nonsense", UnknownNameError)):
+        with refuses(kind):
+            usable_backends([name])
     assert usable_backends(["reference", "reference"]) == (["reference"], {})

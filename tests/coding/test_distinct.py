@@ -80,22 +80,23 @@ def test_rows_that_are_known_get_the_same_codes_and_new_ones_are_noticed() -> No
     assert book.encode(new).badly_explained.all()
 
 
-@pytest.mark.parametrize(("n_atoms", "k"), [(10, 1), (10, 10), (300, 4), (12, 16)])
-def test_sizes(n_atoms: int, k: int) -> None:
+def test_sizes() -> None:
     of_row = classes(60, 10)
-    found = value_codes(values(10)[of_row], n_atoms, k)
-    assert found is not None
-    atoms, codes = found
-    assert (list(atoms.shape), codes.k, codes.n_atoms) == ([n_atoms, 32], k, n_atoms)
-    assert codes.indices[:, 0].long().equal(of_row)
-    assert codes.weights.sum(1).equal(torch.ones(60))
-
-
-def test_too_many_values_are_learned() -> None:
-    rows = values(10)[classes(60, 10)]
-    assert value_codes(rows, 9, 2) is None
-    assert value_codes(rows[:19], 32, 2) is None  # fewer than two rows a value
-    assert value_codes(rows[:10], 32, 2) is None
+    rows = values(10)[of_row]
+    for n_atoms, k in ((10, 1), (10, 10), (300, 4), (12, 16)):
+        found = value_codes(rows, n_atoms, k)
+        assert found is not None
+        atoms, codes = found
+        assert (list(atoms.shape), codes.k, codes.n_atoms) == ([n_atoms, 32], k, n_atoms)
+        assert codes.indices[:, 0].long().equal(of_row)
+        assert codes.weights.sum(1).equal(torch.ones(60))
+    # Too many values are learned: more than atoms, or fewer than two rows a value.
+    assert all(
+        value_codes(*given) is None for given in ((rows, 9, 2), (rows[:19], 32, 2), (rows[:10], 32, 2))
+    )
+    none = distinct_rows(torch.zeros(0, 4), 3)
+    assert none is not None
+    assert (list(none[0].shape), len(none[1])) == ([0, 4], 0)
 
 
 @pytest.mark.parametrize("n_atoms", [4, 64])
@@ -111,9 +112,3 @@ def test_progress_is_complete() -> None:
     seen: list[tuple[int, int]] = []
     fit_codes(values(5)[classes(50, 5)], 8, 2, progress=lambda _, done, total: seen.append((done, total)))
     assert seen == [(0, 1), (1, 1)]
-
-
-def test_no_rows() -> None:
-    found = distinct_rows(torch.zeros(0, 4), 3)
-    assert found is not None
-    assert (list(found[0].shape), len(found[1])) == ([0, 4], 0)

@@ -154,15 +154,6 @@ def test_zero_rows_get_empty_codes(backend: str, solver: str, epochs: int) -> No
     assert kept.atoms.equal(book.atoms)
 
 
-def test_interruption_passes_through(backend: str) -> None:
-    def interrupt(stage: str, done: int, total: int) -> None:
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        solve_exact(clip_like(50), 4, 2, progress=interrupt, backend=backend)
-
-
 STEPS = """
 import os, torch
 from scoup.coding.backends import coding_backend

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -22,7 +23,9 @@ from coders import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor
 
+from messages import refuses
 from scoup.coding import native, reference
 from scoup.coding.backends import RowCodes
 from scoup.coding.least_squares import nonnegative_least_squares
@@ -79,6 +82,19 @@ def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim:
         assert not independent or not len(at_zero) or float(at_zero.max()) < 1e-5
 
 
+def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: Any) -> RowCodes:
+    """Rounding may turn a choice between equals, and then the codes differ; hardly ever, and hardly."""
+    ours, theirs = (coder(similarities, gram, *more) for coder in (native_coder(core), reference_coder))
+    assert_valid(ours, similarities, gram, more[0])
+    mine, yours = (dense(each, len(gram)) for each in (ours, theirs))
+    same = (mine > 0).eq(yours > 0).all(1)
+    assert float(same.double().mean()) >= 0.98
+    torch.testing.assert_close(mine[same], yours[same], atol=2e-4, rtol=0)
+    torch.testing.assert_close(ours.cosines[same], theirs.cosines[same], atol=1e-5, rtol=0)
+    torch.testing.assert_close(ours.cosines, theirs.cosines, atol=5e-3, rtol=0)
+    return ours
+
+
 @pytest.mark.parametrize(
     ("count", "n_atoms", "k", "dim"),
     [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (500, 64, 4, 64), (200, 64, 16, 64), (20, 1024, 16, 64)],
@@ -88,15 +104,7 @@ def test_compiled_and_torch_agree(
     core: ModuleType, count: int, n_atoms: int, k: int, dim: int, swap_passes: int
 ) -> None:
     _, _, similarities, gram = problem(count, n_atoms, dim, seed=3)
-    ours = native_coder(core)(similarities, gram, k, swap_passes)
-    theirs = reference_coder(similarities, gram, k, swap_passes)
-    assert_valid(ours, similarities, gram, k)
-    # Rounding may turn a choice between equals, and then the codes differ; hardly ever, and hardly.
-    same = (dense(ours, n_atoms) > 0).eq(dense(theirs, n_atoms) > 0).all(1)
-    assert float(same.double().mean()) >= 0.98
-    torch.testing.assert_close(dense(ours, n_atoms)[same], dense(theirs, n_atoms)[same], atol=2e-4, rtol=0)
-    torch.testing.assert_close(ours.cosines[same], theirs.cosines[same], atol=1e-5, rtol=0)
-    torch.testing.assert_close(ours.cosines, theirs.cosines, atol=5e-3, rtol=0)
+    assert_agree(core, similarities, gram, k, swap_passes)
 
 
 @pytest.mark.parametrize("swap_passes", [1, 3])
@@ -106,11 +114,8 @@ def test_compiled_and_torch_agree_where_nearly_every_atom_is_swapped(
 ) -> None:
     _, _, similarities, gram = problem(300, n_atoms)
     start = torch.rand(300, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
-    ours = native_coder(core)(similarities, gram, k, swap_passes, start)
-    theirs = reference_coder(similarities, gram, k, swap_passes, start)
+    ours = assert_agree(core, similarities, gram, k, swap_passes, start)
     assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
-    same = (dense(ours, n_atoms) > 0).eq(dense(theirs, n_atoms) > 0).all(1)
-    assert float(same.double().mean()) >= 0.98
 
 
 def test_copies_and_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
@@ -163,37 +168,11 @@ def test_rows_that_no_atom_helps(coder: Coder) -> None:
     assert not bool(coder(torch.ones(2, 6), torch.zeros(6, 6), 3, 1).weights.any())  # atoms of norm zero
 
 
-def test_not_a_number_neither_crashes_nor_spreads(core: ModuleType) -> None:
-    _, _, similarities, gram = problem(20, 10)
-    clean = native_coder(core)(similarities, gram, 3, 2)
-    similarities[7] = torch.nan
-    similarities[9, 3] = torch.inf
-    coded = native_coder(core)(similarities, gram, 3, 2)
-    others = [row for row in range(20) if row not in (7, 9)]
-    assert coded.weights[others].equal(clean.weights[others])
-    assert coded.support[7].tolist() == [-1] * 3
-    gram[2] = torch.nan
-    native_coder(core)(similarities, gram, 3, 2)
-
-
 # From here on: the compiled core alone.
 
 
 def arrays(count: int = 700, dim: int = 50, n_atoms: int = 37) -> tuple[np.ndarray, np.ndarray]:
     return clip_like(count, dim).numpy(), clip_like(n_atoms, dim, seed=1).numpy()
-
-
-def test_bytes_do_not_depend_on_threads(core: ModuleType) -> None:
-    rows, atoms = arrays(3000)
-    matrix = (atoms @ atoms.T + np.eye(len(atoms))).astype(np.float64)
-    results = []
-    for threads in (1, 2, 7):
-        codes = core.code_rows(rows, atoms, 4, 1, None, threads)
-        moments = core.code_moments(rows, codes[0], codes[1], codes[2], len(atoms), threads)
-        products = core.row_products(rows, atoms, threads), core.row_products(rows, atoms[:3].copy(), threads)
-        solved = core.solve_positive_definite(matrix, moments[1], threads)
-        results.append([array.tobytes() for array in (*codes, *moments, *products, solved)])
-    assert results[0] == results[1] == results[2]
 
 
 def test_a_row_is_coded_alike_alone_and_among_others(core: ModuleType) -> None:
@@ -236,58 +215,54 @@ def test_long_sums_keep_their_precision(core: ModuleType) -> None:
     np.testing.assert_allclose(toward, count * float(np.float32(0.1)), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"rows": np.zeros((4, 3))}, r"rows must be a contiguous float32 array \[any, any\]; it has another dtype"),
-    ({"rows": np.zeros(3, np.float32)}, "rows must be .* it has 1 dimensions"),
-    ({"rows": np.zeros((4, 6), np.float32)[:, ::2]}, "rows must be .* it is not contiguous"),
-    ({"rows": np.asfortranarray(np.zeros((4, 3), np.float32))}, "rows must be .* it is not contiguous"),
-    ({"atoms": np.zeros((5, 2), np.float32)}, "atoms must be .* its axis 1 has 2 entries"),
-    ({"atoms": np.zeros((5, 3), np.int32)}, "atoms must be .* another dtype"),
-    ({"slots": 0}, "slots must be 1 to 64, got 0"),
-    ({"slots": 65}, "slots must be"),
-    ({"swap_passes": -1}, "swap_passes"),
-    ({"warm": np.zeros((4, 2), np.int64)}, "warm must be a contiguous int32"),
-    ({"warm": np.zeros((3, 2), np.int32)}, r"warm must be .*\[4, 2\]; its axis 0 has 3 entries"),
-    ({"warm": np.full((4, 2), 5, np.int32)}, "warm holds atom 5 of 5"),
-])  # fmt: skip
-def test_hostile_arrays_are_refused(core: ModuleType, change: dict[str, Any], message: str) -> None:
-    good: dict[str, Any] = {
-        "rows": np.zeros((4, 3), np.float32),
-        "atoms": np.zeros((5, 3), np.float32),
-        "slots": 2,
-        "swap_passes": 1,
-        "warm": None,
-    }
-    assert core.code_rows(**good)[0].tolist() == [[-1, -1]] * 4
-    with pytest.raises(ValueError, match=message):
-        core.code_rows(**{**good, **change})
+def coded(core: Any, **changes: Any) -> Any:
+    rows, atoms = np.zeros((4, 3), np.float32), np.zeros((5, 3), np.float32)
+    return core.code_rows(
+        **{"rows": rows, "atoms": atoms, "slots": 2, "swap_passes": 1, "warm": None, **changes}
+    )
 
 
-def test_hostile_arrays_of_the_other_functions_are_refused(core: ModuleType) -> None:
-    f4 = np.zeros((4, 3), np.float32)
-    with pytest.raises(ValueError, match=r"gram must be .*\[3, 3\]; its axis 0 has 4 entries"):
-        core.code_similarities(f4, f4, 1, 0)
-    with pytest.raises(ValueError, match=r"others must be .* its axis 1 has 4 entries"):
-        core.row_products(f4, np.zeros((4, 4), np.float32))
-    index, scale = np.zeros((4, 2), np.int32), np.zeros(4, np.float32)
-    weights = np.zeros((4, 2), np.float32)
-    for arguments, message in (
-        ((f4, index + 9, weights, scale, 9), "support holds atom 9 of 9"),
-        ((f4, index[:3], weights, scale, 9), "support must be .* its axis 0 has 3 entries"),
-        ((f4, index, weights[:, :1].copy(), scale, 9), "weights must be .* its axis 1 has 1 entries"),
-        ((f4, index, weights, scale[:2], 9), "scale must be .* its axis 0 has 2 entries"),
-        ((f4, index, weights, scale, -1), "n_atoms"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            core.code_moments(*arguments)
-    with pytest.raises(ValueError, match="matrix must be a contiguous float64"):
-        core.solve_positive_definite(f4[:3].copy(), np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=r"matrix must be .*\[3, 3\]; its axis 1 has 2 entries"):
-        core.solve_positive_definite(np.zeros((3, 2)), np.zeros((3, 2)))
-    with pytest.raises(ValueError, match="not positive definite"):
-        core.solve_positive_definite(-np.eye(3), np.zeros((3, 2)))
+def moments(core: Any, index: int = 0, n_atoms: int = 9, **changes: Any) -> Any:
+    given = {"rows": FOUR, "support": np.full((4, 2), index, np.int32), "weights": np.zeros((4, 2), np.float32),
+             "scale": np.zeros(4, np.float32), **changes}  # fmt: skip
+    return core.code_moments(*given.values(), n_atoms)
+
+
+FOUR, SIX = np.zeros((4, 3), np.float32), np.zeros((4, 6), np.float32)
+HOSTILE: list[Callable[[Any], Any]] = [
+    lambda core: coded(core, rows=np.zeros((4, 3))),
+    lambda core: coded(core, rows=np.zeros(3, np.float32)),
+    lambda core: coded(core, rows=SIX[:, ::2]),
+    lambda core: coded(core, rows=np.asfortranarray(FOUR)),
+    lambda core: coded(core, atoms=np.zeros((5, 2), np.float32)),
+    lambda core: coded(core, atoms=np.zeros((5, 3), np.int32)),
+    lambda core: coded(core, slots=0),
+    lambda core: coded(core, slots=65),
+    lambda core: coded(core, swap_passes=-1),
+    lambda core: coded(core, warm=np.zeros((4, 2), np.int64)),
+    lambda core: coded(core, warm=np.zeros((3, 2), np.int32)),
+    lambda core: coded(core, warm=np.full((4, 2), 5, np.int32)),
+    lambda core: core.code_similarities(FOUR, FOUR, 1, 0),
+    lambda core: core.row_products(FOUR, np.zeros((4, 4), np.float32)),
+    lambda core: moments(core, index=9),
+    lambda core: moments(core, support=np.zeros((3, 2), np.int32)),
+    lambda core: moments(core, weights=np.zeros((4, 1), np.float32)),
+    lambda core: moments(core, scale=np.zeros(2, np.float32)),
+    lambda core: moments(core, n_atoms=-1),
+    lambda core: core.solve_positive_definite(FOUR[:3].copy(), np.zeros((3, 2))),
+    lambda core: core.solve_positive_definite(np.zeros((3, 2)), np.zeros((3, 2))),
+    lambda core: core.solve_positive_definite(-np.eye(3), np.zeros((3, 2))),
+]
+
+
+def test_hostile_arrays_are_refused(core: ModuleType) -> None:
+    assert coded(core)[0].tolist() == [[-1, -1]] * 4
+    assert not moments(core)[0].any()
+    for call in HOSTILE:
+        with refuses(ValueError):
+            call(core)
     with pytest.raises(TypeError):
-        core.row_products("rows", f4)
+        core.row_products("rows", FOUR)
 
 
 def test_empty_arrays(core: ModuleType) -> None:

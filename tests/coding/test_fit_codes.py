@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.base import InputError
+from messages import refuses
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import report_on
@@ -72,31 +72,23 @@ def test_nothing_to_code(count: int) -> None:
 
 
 @settings(max_examples=examples(25))
-@given(st.integers(1, 12), st.integers(1, 20), st.integers(1, 8), st.integers(1, 4))
+@given(st.integers(1, 12), st.sampled_from([1, 2, 3, 5, 8, 20, 300]), st.integers(1, 8), st.integers(1, 4))
 def test_any_sizes(count: int, n_atoms: int, k: int, distinct: int) -> None:
     rows = random_rows(distinct, 6).abs()[torch.arange(count) % distinct]
     book = fit_codes(rows, n_atoms, k, solver="adam", epochs=3)
     assert book.codes.k == k
     assert_valid(book.codes, rows)
     assert_valid(book.encode(rows).codes, rows)
+    assert book.codes.indices.dtype == (torch.uint8 if n_atoms <= 256 else torch.uint16)
 
 
-def test_many_atoms_take_sixteen_bits() -> None:
-    book = fit_codes(random_rows(20), n_atoms=300, k=2, solver="adam", epochs=2)
-    assert book.codes.indices.dtype == torch.uint16
-    assert_valid(book.codes, random_rows(20))
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"embeddings": torch.tensor([[1.0, float("nan")]])}, "row 0"),
-    ({"embeddings": torch.tensor([[1.0, float("inf")]])}, "not finite"),
-    ({"embeddings": torch.zeros(3)}, r"\[R, D\]"),
-    ({"embeddings": torch.zeros(3, 4, dtype=torch.int32)}, "floating"),
-    ({"solver": "newton"}, "solvers: 'adam', 'exact'"),
-    ({"k": 0}, "k must be"), ({"n_atoms": 0}, "1 to 65536"), ({"epochs": -1}, "epochs"),
+@pytest.mark.parametrize("change", [
+    {"embeddings": torch.tensor([[1.0, float("nan")]])}, {"embeddings": torch.tensor([[1.0, float("inf")]])},
+    {"embeddings": torch.zeros(3)}, {"embeddings": torch.zeros(3, 4, dtype=torch.int32)},
+    {"solver": "newton"}, {"k": 0}, {"n_atoms": 0}, {"epochs": -1},
 ])  # fmt: skip
-def test_refusals(change: dict, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_refusals(change: dict) -> None:
+    with refuses():
         fit_codes(**{"embeddings": random_rows(5), "solver": "adam", "epochs": 1, **change})
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
-from scoup.base import UnknownNameError
+from messages import refuses
+from scoup.base.errors import UnknownNameError
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.rules import MASK_RULES
@@ -38,5 +37,5 @@ def test_rows_are_complete() -> None:
     assert {each.group for each in chosen[1:]} == {"atoms"}
     assert find_ablations([]) == list(ABLATIONS)
     assert [each.name for each in ABLATIONS if each.is_base] == [ABLATIONS[0].name]
-    with pytest.raises(UnknownNameError, match="atoms"):
+    with refuses(UnknownNameError):
         find_ablations(["atom"])

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.scene import Camera, Cameras
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.data.labels import match_frames, read_frame, read_labels
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.scores import overall
@@ -100,12 +101,11 @@ def test_scene_scores(tmp_path: Path) -> None:
     other = PROTOCOL.score("other", [(frames[0], maps[None])])
     assert overall([scene, other])[1] == pytest.approx((2 / 3 + 1) / 2)
     for wrong in (maps[None], torch.zeros(1, 3, 40, 60), maps):
-        with pytest.raises(InputError):
+        with refuses():
             PROTOCOL.score_frame(frames[1], wrong)
-    with pytest.raises(InputError):
-        PROTOCOL.score("none", [])
-    with pytest.raises(InputError):
-        overall([])
+    for nothing in (lambda: PROTOCOL.score("none", []), lambda: overall([])):
+        with refuses():
+            nothing()
 
 
 def cameras(*names: str) -> Cameras:
@@ -119,9 +119,9 @@ def test_frames_are_matched_by_name(tmp_path: Path) -> None:
     frames = read_labels(tmp_path)
     matched = match_frames(frames, cameras("frame_00001.jpg", "frame_00003.jpg", "frame_00004.jpg"))
     assert [camera.name for _, camera in matched] == ["frame_00001.jpg", "frame_00003.jpg"]
-    with pytest.warns(ScoupWarning, match="frame_00003"):
+    with warns(ScoupWarning):
         assert len(match_frames(frames, cameras("frame_00001.jpg"))) == 1
-    with pytest.raises(InputError, match="different scenes"):
+    with refuses():
         match_frames(frames, cameras("DSC01.jpg"))
 
 
@@ -155,7 +155,7 @@ GOOD = {"info": {"width": 60, "height": 40}, "objects": [square("cup", 1, 1, 5, 
 def test_bad_label_files(tmp_path: Path, content: str) -> None:
     path = tmp_path / "bad.json"
     path.write_text(content)
-    with pytest.raises(FileFormatError, match=r"bad\.json"):
+    with refuses(FileFormatError):
         read_frame(path)
 
 
@@ -179,7 +179,7 @@ def test_masks_of_no_end_are_refused(tmp_path: Path, label: str | None) -> None:
     count = 400 if label else 20
     objects = [square(label or f"thing {number}", 0, 0, 9, 9) for number in range(count)]
     path = write_label(tmp_path / "f.json", objects, 5000, 5000)
-    with pytest.raises(FileFormatError, match=f"has {count} objects of .* on 5000 x 5000 pixels, too many"):
+    with refuses(FileFormatError):
         read_frame(path)
     few = read_frame(write_label(tmp_path / "g.json", objects[:8], 5000, 5000))
     assert len(few.masks) == (1 if label else 8)

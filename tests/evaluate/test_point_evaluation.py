@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
-from scoup.base import InputError, MissingFileError, UnknownNameError
+from messages import refuses
+from scoup.base.errors import MissingFileError, UnknownNameError
 from scoup.io import load_gaussians
 from scoup.query import LanguageField
 from scoup.uplift import build_settings
@@ -89,9 +90,9 @@ def test_a_field_answers_better_than_a_shuffled_one(synthetic_data_sets: Path, t
     # The same again reads the field that is there; other settings are refused.
     again = evaluation.scene(scene, source, tmp_path)
     assert all(again[key][OURS].equal(counts[key][OURS]) for key in counts)
-    with pytest.raises(InputError, match="other settings"):
+    with refuses():
         replace(evaluation, build=build_settings(n_atoms=8)).scene(scene, source, tmp_path)
-    with pytest.raises(InputError, match="no level 'x'"):
+    with refuses():
         replace(evaluation, level="x").scene(scene, source, tmp_path)
 
 
@@ -107,7 +108,7 @@ def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_pat
     classes = evaluation.class_lists[0]
     scores = PointScores.of(classes, {**counts, "yard": {}})
     assert scores.scenes == ("shelves", "table")
-    with pytest.raises(InputError, match=r"none of the scenes \(yard\) has points of a class of 19"):
+    with refuses():
         PointScores.of(classes, {"yard": {}})
     report = scores.report("all")
     report.write(tmp_path)
@@ -148,13 +149,12 @@ def test_means_over_scenes_by_hand() -> None:
 
 
 def test_scenes_that_are_not_there(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="no such folder"):
-        scannet.find(tmp_path / "absent")
-    with pytest.raises(MissingFileError, match=r"no SCENE/SCENE_vh_clean_2\.labels\.ply"):
-        scannet.find(tmp_path)
-    with pytest.raises(UnknownNameError, match="tabel"):
+    for absent in (tmp_path / "absent", tmp_path):
+        with refuses(MissingFileError):
+            scannet.find(absent)
+    with refuses(UnknownNameError):
         scannet.find(synthetic_data_sets / "scannet", ["tabel"])
-    with pytest.raises(UnknownNameError, match="list of classes"):
+    with refuses(UnknownNameError):
         scannet.find_class_list("20")
 
 

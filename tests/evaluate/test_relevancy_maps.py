@@ -91,14 +91,6 @@ def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
     assert (place.pixel, place.level) == ((7, 4), 0)
 
 
-@RULES
-def test_one_pixel(rule: MaskRule) -> None:
-    place = localize(torch.tensor([[[0.4]], [[0.6]]]), rule)
-    assert (place.pixel, place.level, place.pixels.tolist()) == ((0, 0), 1, [[0, 0]])
-    assert place.score == pytest.approx(0.6)
-    assert segment(torch.tensor([[[0.4]]]), rule).mask.tolist() == [[False]]
-
-
 @pytest.mark.parametrize("shape", [(3, 4), (0, 3, 4), (2, 0, 4), (1, 2, 3, 4)])
 def test_shapes_refused(shape: tuple[int, ...]) -> None:
     for work in (localize, segment):

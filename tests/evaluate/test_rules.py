@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
-from scoup.base import UnknownNameError
+from messages import refuses
+from scoup.base.errors import UnknownNameError
 from scoup_lab.evaluate.protocols import PIXELS
 from scoup_lab.evaluate.rules import MASK_RULES, MaskRule
 
@@ -25,7 +24,7 @@ def test_rules_by_system_and_data_set() -> None:
     assert PIXELS["mipnerf360"].rule("langsplatv2").threshold == MASK_RULES["langsplatv2"].threshold
     for protocol in PIXELS.values():
         assert set(protocol.thresholds) <= set(MASK_RULES)
-    with pytest.raises(UnknownNameError, match="scoup"):
+    with refuses(UnknownNameError):
         PIXELS["lerf-ovs"].rule("skoup")
-    with pytest.raises(UnknownNameError, match="3d-ovs"):
+    with refuses(UnknownNameError):
         PIXELS["3d-ovs"].rule("langsplat")

@@ -10,7 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io import save_png
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import threed_ovs
@@ -70,7 +71,7 @@ def test_wood_table_counts_as_wood_wall_in_the_room_only(tmp_path: Path) -> None
 def test_a_frame_without_a_class_is_told_and_not_scored(tmp_path: Path) -> None:
     write_scene(tmp_path)
     (tmp_path / "segmentations" / "02" / "lamp.png").unlink()
-    with pytest.warns(ScoupWarning, match="1 of the masks"):
+    with warns(ScoupWarning):
         frames = threed_ovs.read_segmentations(tmp_path)
     assert [len(frame.labels) for frame in frames] == [3, 2]
 
@@ -90,10 +91,9 @@ def test_the_fine_level_has_no_say() -> None:
     (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(square(7, 14)), maps[:, None])
     assert pair.level == 1
     assert pair.iou > 0.7
-    with pytest.raises(InputError, match="there is no 'm'"):
-        threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("s", "x", "l"))
-    with pytest.raises(InputError, match="3 levels, but 2"):
-        threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None], levels=("m", "l"))
+    for levels in (("s", "x", "l"), ("m", "l")):
+        with refuses():
+            threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None], levels=levels)
 
 
 def test_the_level_with_the_highest_mean_inside_its_mask_answers_not_the_highest_peak() -> None:
@@ -123,7 +123,7 @@ def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None
     assert len(scene.pairs) == 6
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 6)
     assert overall([scene]) == (scene.miou, None)
-    with pytest.raises(InputError, match="no localisation"):
+    with refuses():
         _ = scene.accuracy
 
 
@@ -140,8 +140,8 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_told(tmp_path: Path, damage: str) -> None:
-    with pytest.raises(MissingFileError, match="expected masks"):
+    with refuses(MissingFileError):
         threed_ovs.read_segmentations(tmp_path / "absent")
     DAMAGES[damage](write_scene(tmp_path) / "segmentations")
-    with pytest.raises(FileFormatError, match="segmentations"):
+    with refuses(FileFormatError):
         threed_ovs.read_segmentations(tmp_path)

@@ -40,10 +40,7 @@ needs_native = pytest.mark.skipif(
     native_core() is None, reason=f"needs the compiled core: {missing_reason()}"
 )
 # Those of a CPU; kernels of a GPU are held to the reference by test_gpu.py.
-BACKENDS = [
-    pytest.param("native", marks=needs_native),
-    "reference",
-]
+BACKENDS = [pytest.param("native", marks=needs_native), "reference"]
 
 
 def both(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> Pair:

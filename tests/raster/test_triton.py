@@ -14,15 +14,12 @@ from children import finished
 from compiling import compile_kernel
 from launches import launches
 from machine_code import unwritten
+from messages import refuses
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
-from scoup.base import InputError
 from support import examples, make_camera, random_gaussians, scenes
 
-# Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of
-# another.
-MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
 
@@ -98,10 +95,9 @@ def test_kernels_compile_within_a_gpu(
 ) -> None:
     for name in names or launches():
         launch = launches()[name]
-        usage = compile_kernel(*launch, capability, tmp_path)
-        assert usage.spilled <= MOST_SPILLED, (name, usage)
-        assert usage.shared <= MOST_SHARED, (name, usage)
-        assert not usage.unwritten, (name, usage)
+        shared, unwritten_registers = compile_kernel(*launch, capability, tmp_path)
+        assert shared <= MOST_SHARED, name
+        assert not unwritten_registers, name
 
 
 def test_registers_that_are_read_before_they_are_written_are_found() -> None:
@@ -136,7 +132,7 @@ def test_triton_is_not_imported_for_a_cpu(preloaded_python: str) -> None:
 
 
 def test_tensors_on_a_cpu_are_refused() -> None:
-    with pytest.raises(InputError, match="serves tensors on a GPU"):
+    with refuses():
         raster.project(random_gaussians(3, 0), make_camera(), backend="triton")
 
 

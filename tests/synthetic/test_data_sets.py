@@ -10,7 +10,8 @@ import torch
 from benchmarks.scenes import find_layout
 from PIL import Image
 
-from scoup.base import InputError, OutputExistsError, UnknownNameError
+from messages import refuses
+from scoup.base.errors import OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.models import load_table
 from scoup_lab.data.labels import read_labels
@@ -85,17 +86,15 @@ def test_a_scene_for_each_seed(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    wrong: dict[str, dict[str, Any]] = {
-        "labelled views": {"size": DataSetSize(n_views=3, n_labelled=4)},
-        "at least one scene": {"seeds": ()},
-        "different names": {"layouts": (TABLE, TABLE)},
-    }
-    for said, given in wrong.items():
-        with pytest.raises(InputError, match=said):
+    wrong: tuple[dict[str, Any], ...] = (
+        {"size": DataSetSize(n_views=3, n_labelled=4)}, {"seeds": ()}, {"layouts": (TABLE, TABLE)},
+    )  # fmt: skip
+    for given in wrong:
+        with refuses():
             write_data_set("lerf-ovs", tmp_path, **given)
-    with pytest.raises(UnknownNameError, match="data set"):
+    with refuses(UnknownNameError):
         write_data_set("scanet", tmp_path)
-    with pytest.raises(UnknownNameError, match="table"):
+    with refuses(UnknownNameError):
         find_layout("tabel")
     (tmp_path / "table").mkdir()
     with pytest.raises(OutputExistsError):
@@ -107,13 +106,11 @@ def test_parts_of_a_scene_may_lie_elsewhere(synthetic_data_sets: Path, tmp_path:
     protocol, root = PIXELS["lerf-ovs"], synthetic_data_sets / "lerf-ovs"
     places = Places(str(root / "{scene}" / "point_cloud.ply"), str(root / "{scene}" / "language_features"))
     assert protocol.open(root, "table", places).splat == root / "table" / "point_cloud.ply"
-    with pytest.raises(InputError, match="pass gaussians"):
-        protocol.open(root, "table", Places(gaussians=str(tmp_path / "{scene}.ply")))
-    with pytest.raises(InputError, match="pass features"):
-        protocol.open(root, "table", Places(features="absent"))
-    with pytest.raises(UnknownNameError, match="labelled scene"):
+    for absent in (Places(gaussians=str(tmp_path / "{scene}.ply")), Places(features="absent")):
+        with refuses():
+            protocol.open(root, "table", absent)
+    for folder in (tmp_path, tmp_path / "absent"):
+        with refuses():
+            protocol.find(folder)
+    with refuses(UnknownNameError):
         protocol.find(root, ["tabel"])
-    with pytest.raises(InputError, match="contains no labelled scene"):
-        protocol.find(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
-        protocol.find(tmp_path / "absent")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from scoup.scene import Camera
-from scoup_lab.synthetic.art.meshes import merged
-from scoup_lab.synthetic.art.zbuffer import draw, visible_faces
+from scoup.scene.cameras import Camera
+from scoup_lab.synthetic.art.zbuffer import visible_faces
 from synthetic.shapes import half_turn, rectangle, sphere
 
 
@@ -33,29 +32,6 @@ def test_sphere_is_seen_where_rays_hit_it():
     # The mesh lies inside the sphere by a thousandth of its radius: some pixels of its rim may differ.
     assert (seen & ~truth).sum() == 0
     assert (truth & ~seen).sum() <= 0.01 * truth.sum()
-
-
-def test_nearest_of_two_tilted_planes_is_seen():
-    view = camera()
-    first = rectangle((-9, -9, 3.0), (0, 18, 0), (18, 0, 2.0))
-    second = rectangle((-9, -9, 5.0), (0, 18, 0), (18, 0, -2.0))
-    both = merged([first, second])
-    faces = visible_faces(both.vertices, both.faces, view)
-    ray = rays(view)
-    depth_of_first = (3.0 + 1.0) / (1 - ray[..., 0] * 2 / 18)
-    depth_of_second = (5.0 - 1.0) / (1 + ray[..., 0] * 2 / 18)
-    clear = np.abs(depth_of_first - depth_of_second) > 1e-6
-    assert ((faces < len(first.faces)) == (depth_of_first < depth_of_second))[clear].all()
-    assert (faces >= 0).all()
-
-
-def test_neighbouring_triangles_leave_no_gap_and_do_not_overlap():
-    rng = np.random.default_rng(3)
-    angles = np.sort(rng.uniform(0, 2 * np.pi, 40))
-    fan = np.concatenate([[[50.0, 40.0]], 50 + 300 * np.stack([np.cos(angles), np.sin(angles)], 1)])
-    faces = np.array([[0, 1 + k, 1 + (k + 1) % 40] for k in range(40)])
-    number, _ = draw(fan, np.ones(len(fan)), faces, 100, 80)
-    assert (number >= 0).all()
 
 
 def test_faces_seen_from_behind_or_behind_the_camera_are_not_drawn():

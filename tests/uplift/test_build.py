@@ -14,7 +14,9 @@ import torch
 
 import scoup
 from cli_support import snapshot
-from scoup.base import InputError, Part, ScoupWarning, UnknownNameError
+from messages import refuses, warns
+from scoup.base.errors import ScoupWarning, UnknownNameError
+from scoup.base.parts import Part
 from scoup.field import Field
 from scoup.scene import Cameras, RegionMap, Regions
 from scoup.uplift.field_build import build
@@ -110,7 +112,7 @@ def test_a_damaged_view_is_made_again(scene, whole, tmp_path):
     region_sums(gaussians, cameras, regions, path=path)
     before = snapshot(path)
     (path / view_file(cameras.names[1])).write_bytes(b"")
-    with pytest.warns(ScoupWarning, match=r"view_01.*is not a file of region sums.*it is made again"):
+    with warns(ScoupWarning):
         sums = open_sums(path, gaussians, regions, QUICK)
     assert saved(build(*scene, settings=QUICK, sums=sums), tmp_path / "b.scoup") == whole
     assert snapshot(path) == before
@@ -139,7 +141,7 @@ def test_processes_that_begin_one_folder_at_the_same_time(scene, tmp_path):
     assert snapshot(path) == snapshot(tmp_path / "alone")
     other = RegionSums.empty(random_gaussians(len(gaussians), 9), regions.levels)
     other.path = path
-    with pytest.raises(InputError, match="another process adds views of another scene"):
+    with refuses():
         add_views(other, gaussians, list(cameras), regions)
 
 
@@ -188,7 +190,7 @@ def test_views_that_a_codebook_explains_badly_are_named(scene):
 
     changed = changed_regions(regions, early)
     first = build(gaussians, cameras[:3], changed, settings=QUICK)
-    with pytest.warns(ScoupWarning, match=r"more than 30% of the regions of view_03\.png badly"):
+    with warns(ScoupWarning):
         build(gaussians, cameras, changed, settings=QUICK, codebook=first)
     with warnings.catch_warnings():
         warnings.simplefilter("error", ScoupWarning)
@@ -198,11 +200,10 @@ def test_views_that_a_codebook_explains_badly_are_named(scene):
 def test_a_codebook_of_other_regions_is_refused(scene):
     gaussians, cameras, regions = scene
     field = build(*scene, settings=QUICK)
-    with pytest.raises(InputError, match="embeddings of 24 dimensions, the field of the codebook 16"):
-        build(gaussians, cameras, other_embeddings(regions), settings=QUICK, codebook=field)
     one = Regions.from_maps({name: {"m": regions.load(name, "m")} for name in regions.view_names})
-    with pytest.raises(InputError, match=r"levels \['m'\], the field of the codebook \['s', 'm', 'l'\]"):
-        build(gaussians, cameras, one, settings=QUICK, codebook=field)
+    for other in (other_embeddings(regions), one):
+        with refuses():
+            build(gaussians, cameras, other, settings=QUICK, codebook=field)
 
 
 @pytest.mark.parametrize("change", [
@@ -225,7 +226,7 @@ def test_from_kept_sums_other_settings_embeddings_and_views_equal_a_whole_build(
 def test_more_views_than_kept_sums_have(scene, whole, tmp_path):
     gaussians, cameras, regions = scene
     region_sums(gaussians, cameras[:2], regions, path=tmp_path / "f.sums")
-    with pytest.raises(InputError, match=r"f\.sums: lacks the view 'view_02.png'"):
+    with refuses():
         build(*scene, settings=QUICK, sums=RegionSums.open(tmp_path / "f.sums"))
     grown = build(*scene, settings=QUICK, sums=RegionSums.open(tmp_path / "f.sums", writable=True))
     assert saved(grown, tmp_path / "grown.scoup") == whole
@@ -234,14 +235,14 @@ def test_more_views_than_kept_sums_have(scene, whole, tmp_path):
 def test_sums_of_another_scene_are_refused(scene):
     gaussians, cameras, regions = scene
     sums = region_sums(gaussians, cameras, regions)
-    with pytest.raises(InputError, match="other Gaussians"):
-        build(random_gaussians(len(gaussians), 9), cameras, regions, settings=QUICK, sums=sums)
-    gsplat = dataclasses.replace(QUICK, raster_preset="gsplat")
-    with pytest.raises(InputError, match="other rasteriser preset"):
-        build(gaussians, cameras, regions, settings=gsplat, sums=sums)
-    half = dataclasses.replace(QUICK, scale=0.5)
-    with pytest.raises(InputError, match=r"other scale \(auto\).*same splat"):
-        build(gaussians, cameras, regions, settings=half, sums=sums)
+    other = random_gaussians(len(gaussians), 9)
+    for splat, changes in (
+        (other, {}),
+        (gaussians, {"raster_preset": "gsplat"}),
+        (gaussians, {"scale": 0.5}),
+    ):
+        with refuses():
+            build(splat, cameras, regions, settings=dataclasses.replace(QUICK, **changes), sums=sums)
 
 
 @pytest.mark.parametrize(("scale", "factor"), [("auto", 23 / 41), (0.3, 0.3), (1.0, 1.0)])
@@ -316,53 +317,45 @@ def test_presets():
     assert build_settings(things=False) == BuildSettings(things=False)
     assert build_settings("paper", things=None).things is False
     assert build_settings(seed=3) == BuildSettings(seed=3)
-    few, two = build_settings(n_atoms=3), build_settings("paper", n_atoms=2)
-    assert [(each.n_atoms, each.k, each.keep) for each in (few, two)] == [(3, 3, 3), (2, 2, 2)]
-    assert (build_settings(n_atoms=5).k, build_settings(n_atoms=5).keep) == (4, 4)
-    with pytest.raises(InputError, match="must not exceed the 5 atoms"):
+    few, two, five = build_settings(n_atoms=3), build_settings("paper", n_atoms=2), build_settings(n_atoms=5)
+    sizes = [(each.n_atoms, each.k, each.keep) for each in (few, two, five)]
+    assert sizes == [(3, 3, 3), (2, 2, 2), (5, 4, 4)]
+    with refuses():
         build_settings(n_atoms=5, k=8)
-    with pytest.raises(UnknownNameError, match="paper"):
+    with refuses(UnknownNameError):
         build_settings("papers")
-    wrong: tuple[Any, ...] = (0, 1.5, -1, "half")
-    for scale in wrong:
-        with pytest.raises(InputError, match="the scale must be"):
-            BuildSettings(scale=scale)
-    with pytest.raises(InputError, match="at least one round"):
+    for scale in (0, 1.5, -1, "half"):
+        wrong: Any = {"scale": scale}
+        with refuses():
+            BuildSettings(**wrong)
+    with refuses():
         BuildSettings(rounds=0)
 
 
 def test_cameras_that_see_nothing_or_almost_nothing(scene):
     gaussians, cameras, regions = scene
     away = dataclasses.replace(gaussians, means=gaussians.means - 100)
-    with pytest.raises(InputError, match="see nothing"):
+    with refuses():
         build(away, cameras, regions, settings=QUICK)
+    with refuses():
+        build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
     many = random_gaussians(400, 3)
     many.means[1:] -= 100
     many.means[0] = torch.tensor([0.0, 0.0, 3.0])
     many.opacities[0] = 0.9
-    with pytest.warns(ScoupWarning, match="same frame"):
+    with warns(ScoupWarning):
         build(many, cameras, regions, settings=QUICK)
-
-
-def test_cameras_and_regions_of_different_scenes(scene):
-    gaussians, _, regions = scene
-    with pytest.raises(InputError, match="names agree"):
-        build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
 
 
 def test_regions_that_cannot_be_coded_are_refused(scene):
     gaussians, cameras, _ = scene
-    for value, embeddings, said in (
-        (0, {"m": torch.zeros(1, 16)}, "zero embeddings"),
-        (0, {"s": torch.ones(1, 16), "m": torch.ones(1, 8)}, "different sizes"),
-        (-1, {"m": torch.zeros(0, 16)}, "no regions"),
+    for value, embeddings in (
+        (0, {"m": torch.zeros(1, 16)}),
+        (0, {"s": torch.ones(1, 16), "m": torch.ones(1, 8)}),
+        (-1, {"m": torch.zeros(0, 16)}),
     ):
         labels = torch.full((30, 40), value, dtype=torch.int32)
         maps = {level: RegionMap(labels, rows) for level, rows in embeddings.items()}
-        with pytest.raises(InputError, match=said):
-            build(
-                gaussians,
-                cameras,
-                Regions.from_maps({camera.name: maps for camera in cameras}),
-                settings=QUICK,
-            )
+        regions = Regions.from_maps({camera.name: maps for camera in cameras})
+        with refuses():
+            build(gaussians, cameras, regions, settings=QUICK)

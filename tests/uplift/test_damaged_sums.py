@@ -13,7 +13,8 @@ import torch
 from numpy.typing import NDArray
 from tests.fuzzing.containers import SUMS
 
-from scoup.base import FileFormatError, InputError
+from messages import refuses
+from scoup.base.errors import FileFormatError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
@@ -35,7 +36,7 @@ def path(tmp_path: Path) -> Path:
 
 def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
     """A copy with other arrays in the file of its view."""
-    copy = Path(shutil.copytree(path, path.with_name("b.sums")))
+    copy = Path(shutil.copytree(path, path.with_name("b.sums"), dirs_exist_ok=True))
     file = copy / view_file("view_00.png")
     stored = read_arrays(file)
     arrays = {name: array.copy() for name, array in stored.arrays.items()}
@@ -44,10 +45,10 @@ def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
     return copy
 
 
-def assert_vote_refuses(sums: RegionSums, backend: str, said: str) -> None:
+def assert_vote_refuses(sums: RegionSums, backend: str) -> None:
     rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
     codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
-    with pytest.raises(InputError, match=f"region sums are damaged{said}"):
+    with refuses():
         vote(sums.select(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
 
 
@@ -58,9 +59,9 @@ def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path) 
         arrays["combinations.0"][-1] = len(arrays["table.0"])
 
     sums = RegionSums.open(changed(path, beyond))
-    with pytest.raises(InputError, match="region sums are damaged"):
+    with refuses():
         sums.triplets("view_00.png", 0)
-    assert_vote_refuses(sums, "reference", "")
+    assert_vote_refuses(sums, "reference")
 
 
 @pytest.mark.parametrize(
@@ -73,28 +74,22 @@ def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path) 
     ids=["none", "types", "shapes"],
 )
 def test_entries_that_are_none_are_refused_at_once(path: Path, change) -> None:
-    with pytest.raises(FileFormatError, match=r"view_00-png.*is invalid"):
+    with refuses(FileFormatError):
         RegionSums.open(changed(path, change))
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_weight_that_is_no_number(path: Path) -> None:
+def test_weights_that_are_no_numbers_or_too_large_together(path: Path) -> None:
     def signalling(arrays: Arrays) -> None:
-        arrays["weights.0"].view(np.uint32)[0] = 0x7FA00000
+        arrays["weights.0"].view(np.uint32)[:] = 0x7FA00000
 
-    sums = RegionSums.open(changed(path, signalling))
-    found = [sums.triplets(next(iter(sums.views)), level)[2] for level in range(3)]
-    assert any(np.isnan(weights).any() for weights in found)
-
-
-@pytest.mark.filterwarnings("error")
-def test_weights_whose_sum_is_too_large_for_a_float(path: Path) -> None:
     def large(arrays: Arrays) -> None:
         arrays["weights.0"][:] = np.finfo(np.float32).max
         arrays["table.0"][:] = 0
 
-    sums = RegionSums.open(changed(path, large))
-    assert np.isinf(sums.triplets(next(iter(sums.views)), 0)[2]).any()
+    for change, shows in ((signalling, np.isnan), (large, np.isinf)):
+        sums = RegionSums.open(changed(path, change))
+        assert shows(sums.triplets("view_00.png", 0)[2]).any()
 
 
 @pytest.mark.parametrize("backend", ["reference", "native"])
@@ -105,7 +100,7 @@ def test_regions_that_have_no_code(path: Path, backend: str) -> None:
     def beyond(arrays: Arrays) -> None:
         arrays["table.0"][0, 0] = 2**31 - 1
 
-    assert_vote_refuses(RegionSums.open(changed(path, beyond)), backend, r": region \d+ has no code")
+    assert_vote_refuses(RegionSums.open(changed(path, beyond)), backend)
 
 
 @pytest.mark.parametrize(("old", "new"), [
@@ -123,13 +118,13 @@ def test_headers_that_make_no_sense(path: Path, old: str, new: str) -> None:
     assert old.encode() in parts[0]
     parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
     file.write_bytes(SUMS.join(whole, parts))
-    with pytest.raises(
-        FileFormatError, match=r"scene.safetensors: (is invalid|has an invalid format version)"
-    ):
+    # Reasons of json are worded by Python.
+    said = r"scene.safetensors: (is invalid|has an invalid format version)"
+    with pytest.raises(FileFormatError, match=said):
         RegionSums.open(path)
 
 
 def test_a_file_of_another_view(path: Path) -> None:
     (path / view_file("view_00.png")).rename(path / view_file("view_01.png"))
-    with pytest.raises(FileFormatError, match=r"view_01-png.*is invalid"):
+    with refuses(FileFormatError):
         RegionSums.open(path)

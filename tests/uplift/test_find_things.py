@@ -155,22 +155,6 @@ def test_regions_merge_as_in_the_literal_clustering(each: Seen, least_iou: float
     assert firsts == sorted(firsts)
 
 
-def test_a_part_that_a_view_does_not_see_is_no_difference() -> None:
-    """The second view sees half of the object only, and says nothing of the other half."""
-    whole, half, elsewhere = [4, 4, 4, 4, 0], [4, 4, 0, 0, 0], [0, 0, 0, 0, 4]
-    assert clusters(np.array([whole, half, elsewhere]).T, [0, 1, 1]) == [0, 0, 1]
-    beside = [0, 0, 4, 4, 0]  # now it sees the rest, as something else
-    assert clusters(np.array([whole, half, beside]).T, [0, 1, 1], 0.6) == [0, 1, 2]
-
-
-def test_regions_that_touch_stay_apart() -> None:
-    """A Gaussian on their border is seen in both, and is too little to join them."""
-    left, right = [9, 9, 9, 0.4, 0, 0, 0], [0, 0, 0, 0.5, 9, 9, 9]
-    columns = np.array([left, right, left, right, left, right]).T
-    assert clusters(columns, [0, 0, 1, 1, 2, 2]) == [0, 1] * 3
-    assert clusters(columns, [0, 0, 1, 1, 2, 2], 0.0) == [0, 1] * 3
-
-
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 4), st.sampled_from([0.1, LEAST_IOU, 0.6]))
 def test_stability_is_the_ratio_over_regions_and_other_views(

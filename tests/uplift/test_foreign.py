@@ -10,17 +10,15 @@ import torch
 
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
-from scoup.base import FileFormatError, InputError
-from scoup.field import relevancy
-from scoup.io import load_gaussians, read_autoencoder, read_langsplat
-from scoup.query import LanguageField
+from messages import refuses
+from scoup.base.errors import FileFormatError
+from scoup.field.relevancy import relevancy
+from scoup.io import load_gaussians
+from scoup.io.langsplat_checkpoint import read_langsplat
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+from scoup.query.language_field import LanguageField
 from scoup.uplift import foreign
-from scoup.uplift.foreign import (
-    field_from_features,
-    field_from_langsplat,
-    langsplat_levels,
-    read_features,
-)
+from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
 from support import unit
 
 
@@ -90,20 +88,20 @@ def test_checkpoints_with_a_feature_per_gaussian(tmp_path: Path, layout: str) ->
     assert field.gaussians.fingerprint() == read_langsplat(path).gaussians.fingerprint()
     assert float((field.gaussian_features(0) * expected).sum(1).mean()) > 0.95
     if layout == "langsplat":
-        with pytest.raises(FileFormatError, match="has 3 numbers per Gaussian and not embeddings"):
+        with refuses(FileFormatError):
             field_from_langsplat([path])
-    with pytest.raises(FileFormatError, match=r"checkpoint of Inria's code or a relative.*scoup convert"):
+    with refuses(FileFormatError):
         load_gaussians(path)
 
 
 def test_levels_of_different_splats_are_refused(tmp_path: Path) -> None:
     for number in (1, 2, 3):
         save_langsplatv2(some_gaussians(5 + (number == 3), 0), tmp_path / f"a_{number}" / "c.pth")
-    with pytest.raises(FileFormatError, match="another splat"):
+    with refuses(FileFormatError):
         field_from_langsplat(langsplat_levels(tmp_path / "a_1" / "c.pth"))
-    with pytest.raises(InputError, match="k must be 1 to 8"):
+    with refuses():
         field_from_langsplat([tmp_path / "a_1" / "c.pth"], k=9)
-    with pytest.raises(InputError, match="at least one"):
+    with refuses():
         field_from_langsplat([])
 
 
@@ -138,11 +136,11 @@ def test_unknown_rows_have_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
     rows[3], rows[50], rows[99] = 0, torch.nan, torch.inf
     field = field_from_features(some_gaussians(100, 0), rows, n_atoms=12, k=2)
     assert (~field.coded()).nonzero()[:, 0].tolist() == [3, 50, 99]
-    with pytest.raises(InputError, match="no Gaussian has a feature"):
+    with refuses():
         field_from_features(some_gaussians(5, 0), torch.zeros(5, 8))
-    with pytest.raises(InputError, match=r"\[99, 1, 16\] are not one row for each of 100"):
+    with refuses():
         field_from_features(some_gaussians(100, 0), rows[:99])
-    with pytest.raises(InputError, match="2 names"):
+    with refuses():
         field_from_features(some_gaussians(100, 0), rows, levels=("a", "b"))
 
 
@@ -161,9 +159,6 @@ def test_arrays_are_read_from_files(tmp_path: Path) -> None:
     np.save(tmp_path / "whole.npy", np.zeros((4, 4), int))
     np.save(tmp_path / "flat.npy", np.zeros(4))
     (tmp_path / "a.txt").write_text("1 2 3")
-    for name, said in (
-        ("dict.pt", "not contain a tensor"), ("large.pt", "more numbers"), ("whole.npy", "expected floats"),
-        ("flat.npy", "expected floats"), ("a.txt", "not an array of features"), ("none.npy", "no such file"),
-    ):  # fmt: skip
-        with pytest.raises(FileFormatError, match=said):
+    for name in ("dict.pt", "large.pt", "whole.npy", "flat.npy", "a.txt", "none.npy"):
+        with refuses(FileFormatError):
             read_features(tmp_path / name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,9 @@ from safetensors.numpy import load_file
 
 import scoup
 from cli_support import snapshot
+from messages import refuses
 from scoup import raster
-from scoup.base import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.storage import entries
@@ -94,7 +94,7 @@ def test_a_file_gives_back_what_it_was_given(scene, kept, path):
     assert back.scale == "auto"
     assert back.bytes == made.bytes == folder_bytes(path)
     assert RegionSums.open(path).matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
-    with pytest.raises(InputError, match="reading only"):
+    with refuses():
         back.append("another", NOTHING)
 
 
@@ -171,19 +171,19 @@ def test_a_flipped_bit_is_refused_with_the_name_of_the_file(path, file):
         damaged = bytearray(whole)
         damaged[place] ^= 4
         (path / file).write_bytes(damaged)
-        with pytest.raises(FileFormatError, match=rf"f\.sums.{re.escape(file)}: is (damaged|not)"):
+        with refuses(FileFormatError):
             RegionSums.open(path)
 
 
 def test_what_is_something_else_is_refused(path):
     for other in (b"a picture, or the like" * 9, b""):
         (path / view_file("view_00.png")).write_bytes(other)
-        with pytest.raises(FileFormatError, match="not a file of region sums"):
+        with refuses(FileFormatError):
             RegionSums.open(path)
     (path / "scene.safetensors").unlink()
-    with pytest.raises(MissingFileError, match="is not a folder of region sums"):
+    with refuses(MissingFileError):
         RegionSums.open(path)
-    with pytest.raises(MissingFileError, match="no such folder"):
+    with refuses(MissingFileError):
         RegionSums.open(path.with_name("g.sums"))
 
 

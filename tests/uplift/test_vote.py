@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from messages import refuses
 from raster.parity import assert_close, needs_native
 from scoup.base import InputError
 from scoup.scene import SparseCodes
@@ -148,7 +149,7 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
 @pytest.mark.parametrize("why", damaged(random_vote(Sizes(), 2)))
 def test_damaged_sums_are_refused(why, backend):
     arguments = damaged(random_vote(Sizes(), 2))[why]
-    with pytest.raises(InputError, match="damaged"):
+    with refuses():
         backend(**arguments, device=CPU).round(4, None, False, buckets_of(arguments))
 
 
@@ -176,5 +177,5 @@ def test_an_earlier_round_that_does_not_fit_is_refused():
 def test_codes_beyond_the_codebook_are_refused(backend):
     arguments = random_vote(Sizes(), 2)
     arguments["codes"][0].indices[2, 0] = 24
-    with pytest.raises(InputError, match=r"atom|indices"):
+    with refuses():
         backend(**arguments, device=CPU)

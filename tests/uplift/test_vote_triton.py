@@ -36,6 +36,6 @@ def test_compiles(needs_triton: None, tmp_path: Path, capability: int) -> None:
     found = {name: launch for name, launch in launches().items() if name.startswith("vote")}
     assert len(found) > 2
     for name, launch in found.items():
-        usage = compile_kernel(*launch, capability, tmp_path)
-        assert usage.spilled == 0, (name, usage)
-        assert usage.shared <= 48 << 10, (name, usage)
+        shared, unwritten = compile_kernel(*launch, capability, tmp_path)
+        assert shared <= 48 << 10, name
+        assert not unwritten, name
