@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-import struct
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
-from io_samples import camera_difference, save_images, some_cameras, write_colmap_text
+from io_samples import camera_difference, some_cameras, text_model, write_colmap_text
+from messages import refuses
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
-from scoup.io import load_cameras
 from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 
 
@@ -49,13 +46,6 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(tmp_path, text):
     np.testing.assert_allclose(np.sort(read_points(theirs)[0], axis=0), np.sort(points[0], axis=0))
 
 
-def text_model(folder, camera_line: str, image_lines: str = "1 1 0 0 0 0.5 0.25 2 1 a b.jpg\n\n"):
-    folder.mkdir(exist_ok=True)
-    (folder / "cameras.txt").write_text(f"# cameras\n{camera_line}\n")
-    (folder / "images.txt").write_text(f"# images\n{image_lines}")
-    return folder
-
-
 def test_text_with_empty_keypoint_lines_and_spaces_in_names(tmp_path):
     images = "1 1 0 0 0 0 0 0 1 b c.jpg\n\n2 1 0 0 0 0 0 0 1 a.jpg\n1.5 2.5 -1 3 4 7\n"
     cameras = read_colmap(text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", images))
@@ -70,7 +60,7 @@ def test_text_with_empty_keypoint_lines_and_spaces_in_names(tmp_path):
 ])  # fmt: skip
 def test_distortion_is_refused_or_kept(tmp_path, line, expected):
     folder = text_model(tmp_path, line)
-    with pytest.raises(FileFormatError, match=r"has lens distortion.*image_undistorter.*undistort"):
+    with refuses(FileFormatError):
         read_colmap(folder)
     assert read_colmap(folder, distorted="undistort")[0].distortion == expected
     parameters = line.split()
@@ -79,60 +69,15 @@ def test_distortion_is_refused_or_kept(tmp_path, line, expected):
     assert camera.distortion == ()
 
 
-@pytest.mark.parametrize(
-    "model", ["OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0", "FOV 40 30 50 50 20 15 1", "MYOWN 4 3 1"]
-)
-def test_other_models_are_refused_by_name(tmp_path, model):
-    folder = text_model(tmp_path, f"1 {model}")
-    with pytest.raises(FileFormatError, match=f"{model.split()[0]} is not supported.*image_undistorter"):
-        read_colmap(folder, distorted="undistort")
-
-
 def test_missing_models(tmp_path):
-    for read, path, said in (
-        (read_colmap, tmp_path / "none", "no such folder"), (read_colmap, tmp_path, "no COLMAP model"),
-        (read_points, tmp_path, "points3D"),
-    ):  # fmt: skip
-        with pytest.raises(MissingFileError, match=said):
+    for read, path in ((read_colmap, tmp_path / "none"), (read_colmap, tmp_path), (read_points, tmp_path)):
+        with refuses(MissingFileError):
             read(path)
-
-
-DAMAGES = {
-    "images cut": ("images.bin", lambda whole: whole[:-3], r"images.bin: ends in the middle"),
-    "images claimed": ("images.bin", lambda whole: struct.pack("<Q", 10**12) + whole[8:], "claims 1000000000000 image"),
-    "no images": ("images.bin", lambda _: struct.pack("<Q", 0), "contains no cameras"),
-    "no lenses": ("cameras.bin", lambda _: struct.pack("<Q", 0), "refers to camera 1, which cameras.bin does not"),
-    "points claimed": ("points3D.bin", lambda whole: whole[:-8] + struct.pack("<Q", 2**61), r"points3D.bin"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_models(tmp_path, damage):
-    file, change, said = DAMAGES[damage]
-    write_colmap(some_cameras(2), tmp_path, (np.ones((2, 3)), np.ones((2, 3), np.uint8)))
-    (tmp_path / file).write_bytes(change((tmp_path / file).read_bytes()))
-    with pytest.raises(FileFormatError, match=said):
-        (read_points if file == "points3D.bin" else read_colmap)(tmp_path)
 
 
 def test_images_without_a_rotation(tmp_path):
     folder = text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", "1 0 0 0 0 0 0 0 1 a.jpg\n\n")
-    with pytest.raises(FileFormatError, match="has no rotation"):
+    with refuses(FileFormatError):
         read_colmap(folder)
     folder = text_model(tmp_path, "1 SIMPLE_PINHOLE 40 30 50 20 15", "1 2 0 0 0 0 0 0 1 a.jpg\n\n")
     assert torch.equal(read_colmap(folder)[0].viewmat, torch.eye(4, dtype=torch.float64))
-
-
-def test_cameras_of_impossible_sizes_and_lengths(tmp_path: Path) -> None:
-    """Focal lengths that vanish when the camera is brought to the size of its image, and more pixels than there are."""
-    cameras = some_cameras(1)
-    write_colmap_text(cameras, tmp_path / "sparse" / "0")
-    save_images(cameras, tmp_path / "images", divisor=2)
-    lens = tmp_path / "sparse" / "0" / "cameras.txt"
-    for line, said in (
-        ("1 PINHOLE 32 24 5e-324 5e-324 16 12", "focal length"),
-        ("1 PINHOLE 100000 75000 9 9 16 12", "100000 x 75000 pixels, not an image size"),
-    ):
-        lens.write_text(line + "\n")
-        with pytest.raises(FileFormatError, match=f"sparse/0.*{said}"):
-            load_cameras(tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from messages import refuses
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import load_cameras, read_points, read_tracks
 
@@ -48,17 +49,17 @@ def test_tracks_by_image_name(tmp_path: Path, write) -> None:
 
 
 def test_damage(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="points3D"):
+    with refuses(MissingFileError):
         read_tracks(tmp_path)
     write_binary(tmp_path, [[3, 4]])
-    with pytest.raises(FileFormatError, match="a missing image"):
+    with refuses(FileFormatError):
         read_tracks(tmp_path)
     write_binary(tmp_path)
     for name in ("points3D.bin", "images.bin"):
         whole = (tmp_path / name).read_bytes()
         for length in range(0, len(whole), 5):
             (tmp_path / name).write_bytes(whole[:length])
-            with pytest.raises(FileFormatError, match=name.split(".")[0]):
+            with refuses(FileFormatError):
                 read_tracks(tmp_path)
         (tmp_path / name).write_bytes(whole)
     # A track longer than the file, as a damaged number claims.
@@ -69,7 +70,7 @@ def test_damage(tmp_path: Path) -> None:
     (tmp_path / "points3D.bin").unlink()
     for text in ("1 2", "1 a b c 1 2 3 0.1 3 9", "1 0 0 0 1 2 3 0.1 99 9", f"1 0 0 0 1 2 3 0.1 {10**30} 9"):
         (tmp_path / "points3D.txt").write_text(text)
-        with pytest.raises(FileFormatError, match=r"points3D\.txt"):
+        with refuses(FileFormatError):
             read_tracks(tmp_path)
 
 

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from io_samples import camera_difference, save_images, some_cameras, write_inria_cameras
+from io_samples import camera_difference, save_images, some_cameras, transforms, write_inria_cameras
+from messages import refuses, warns
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
@@ -22,7 +23,7 @@ def test_transforms_round_trip(tmp_path):
     assert camera_difference(cameras, read_transforms(tmp_path / "transforms.json")) < 1e-12
     bent = Cameras(replace(camera, distortion=(0.1, 0.0, 0.0, 0.01)) for camera in cameras)
     write_transforms(bent, tmp_path / "transforms.json", overwrite=True)
-    with pytest.raises(FileFormatError, match="has lens distortion"):
+    with refuses(FileFormatError):
         read_transforms(tmp_path / "transforms.json")
     assert read_transforms(tmp_path / "transforms.json", "undistort")[0].distortion == (0.1, 0.0, 0.0, 0.01)
 
@@ -31,17 +32,6 @@ def test_inria_round_trip(tmp_path):
     cameras = some_cameras(4, centered=True)
     write_inria_cameras(cameras, tmp_path / "cameras.json")
     assert camera_difference(cameras, read_inria_cameras(tmp_path / "cameras.json")) < 1e-12
-
-
-def transforms(folder, frame=None, **settings):
-    """A file with one frame at (1, 2, 3), looking along its -z."""
-    pose = np.eye(4)
-    pose[:3, 3] = 1, 2, 3
-    frames = [{"file_path": "./images/a.png", "transform_matrix": pose.tolist(), **(frame or {})}]
-    content = {"w": 32, "h": 24, "fl_x": 30.0, "frames": frames, **settings}
-    content = {key: value for key, value in content.items() if value is not None}
-    (folder / "transforms.json").write_text(json.dumps(content))
-    return folder / "transforms.json"
 
 
 def test_opengl_axes_and_defaults(tmp_path):
@@ -59,7 +49,7 @@ def test_angle_of_view_and_frame_intrinsics(tmp_path):
     assert camera.fx == pytest.approx(16)
     assert camera.fy == pytest.approx(16)
     path = transforms(tmp_path, frame={"fl_x": 40, "fl_y": 41, "w": 64, "h": 48, "cx": 30})
-    with pytest.warns(ScoupWarning, match="intrinsics of the file and others of frames"):
+    with warns(ScoupWarning):
         camera = read_transforms(path)[0]
     assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (40, 41, 30, 24, 64)
     camera = read_transforms(path, by_nerfstudio=True)[0]
@@ -81,7 +71,7 @@ def test_masks_of_photographs(tmp_path):
     camera = read_transforms(transforms(tmp_path, frame={"mask_path": "masks/view_00.png"}))[0]
     assert camera.mask_path == tmp_path / "masks" / "view_00.png"
     for name in ("masks/none.png", "../masks/view_00.png"):
-        with pytest.warns(ScoupWarning, match=r"1 mask \(mask_path\) not found \(a\.png\)"):
+        with warns(ScoupWarning):
             assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
     save_images(some_cameras(1), tmp_path / "images")  # as instant-ngp names them
     (tmp_path / "images" / "view_00.png").rename(tmp_path / "images" / "a.png")
@@ -101,38 +91,8 @@ def test_image_gives_size_and_extension(tmp_path):
     content = json.loads(path.read_text())
     content["frames"].append({**content["frames"][0], "file_path": "images/gone"})
     path.write_text(json.dumps(content))
-    with pytest.warns(ScoupWarning, match="skipped 1 of 2 frames"):
+    with warns(ScoupWarning):
         assert len(read_transforms(path)) == 1
-
-
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"camera_model": "OPENCV_FISHEYE"}, "'OPENCV_FISHEYE'.*not supported"),
-    ({"is_fisheye": True}, "is_fisheye 'True', a lens that is not supported"),
-    ({"frame": {"is_fisheye": True}}, "is_fisheye"),
-    ({"latlong": True}, "latlong"),
-    ({"equirectangular": 1}, "equirectangular"),
-    ({"ftheta_p0": 0.0, "ftheta_p1": 0.02}, "ftheta_p1"),
-    ({"camera_type": "spherical"}, "camera_type 'spherical'"),
-    ({"k3": 0.1}, "k3"), ({"k6": 0.1}, "k6"),
-    ({"distortion_params": [0.1, 0, 0.2, 0, 0, 0]}, "k3"),
-    ({"distortion_params": [0.1, 0.2]}, "distortion_params"),
-    ({"fl_x": None}, "neither fl_x nor camera_angle_x"),
-    ({"w": 0}, "w is .*, expected a whole number from 1"),
-    ({"w": 10**12}, "w is .*, expected a whole number from 1"),
-    ({"w": 2.5}, "w is .*, expected a whole number from 1"),
-    ({"fl_x": "wide"}, "fl_x"), ({"fl_x": -3}, "focal"), ({"cx": float("nan")}, "cx"),
-    ({"h": None}, "has no image size"),
-    ({"frame": {"transform_matrix": [[1, 2], [3, 4]]}}, "expected 4 x 4 numbers"),
-    ({"frame": {"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}}, "not a rotation"),
-    ({"frame": {"transform_matrix": None}}, "transform_matrix"),
-    ({"frame": {"file_path": 3}}, r"frames\[0\]\.file_path is 3, expected a text"),
-    ({"frames": []}, "contains no cameras"),
-    ({"frames": None}, "frames is missing, expected a list"),
-])  # fmt: skip
-def test_bad_transforms(tmp_path, changes, message):
-    path = transforms(tmp_path, **changes)
-    with pytest.raises(FileFormatError, match=message):
-        read_transforms(path)
 
 
 def test_same_file_names_in_two_folders(tmp_path):
@@ -143,7 +103,7 @@ def test_same_file_names_in_two_folders(tmp_path):
     assert read_transforms(path).names == ("images/a.png", "other/a.png")
     content["frames"].append(content["frames"][0])
     path.write_text(json.dumps(content))
-    with pytest.raises(FileFormatError, match="two cameras are named"):
+    with refuses(FileFormatError):
         read_transforms(path)
 
 
@@ -151,10 +111,10 @@ def test_bad_json(tmp_path):
     path = tmp_path / "cameras.json"
     for text in ("", "[1, 2", "[1]", "{}", "[" * 100_000, '{"a": 1' + "0" * 5000 + "}", "\x00"):
         path.write_text(text)
-        with pytest.raises(FileFormatError, match=r"cameras\.json"):
+        with refuses(FileFormatError):
             read_inria_cameras(path)
     path.write_bytes(b"\xff\x00[")
-    with pytest.raises(FileFormatError, match="not a text file"):
+    with refuses(FileFormatError):
         read_inria_cameras(path)
     with pytest.raises(MissingFileError):
         read_inria_cameras(tmp_path / "none.json")
@@ -167,12 +127,12 @@ def test_cfg_args(tmp_path):
     assert read_cfg_args(path) == expected
     for text in ("", "Namespace(", "Namespace(a=open('x'))", "__import__('os')", "Other(a=1)", "(" * 5000):
         path.write_text(text)
-        with pytest.raises(FileFormatError, match="Namespace"):
+        with refuses(FileFormatError):
             read_cfg_args(path)
 
 
 def test_latest_point_cloud(tmp_path):
-    with pytest.raises(MissingFileError, match="iteration"):
+    with refuses(MissingFileError):
         latest_point_cloud(tmp_path)
     for step in (7000, 30000, 900):
         folder = tmp_path / "point_cloud" / f"iteration_{step}"

@@ -11,6 +11,7 @@ import torch
 
 from children import finished
 from io_samples import angles, camera_difference, same_gaussians
+from messages import warns
 from scoup.base.errors import ScoupWarning
 from scoup.io import (
     load_cameras,
@@ -58,7 +59,7 @@ def test_real_files_survive_writing(data_folder, tmp_path, name):
 def test_real_splats_in_other_formats(data_folder, tmp_path, name, suffix):
     given = load_gaussians(data_folder / name)
     flat = suffix == ".spz" and name.startswith("guitar")
-    clipped = pytest.warns(ScoupWarning, match="4,998 of 90,854 Gaussians had scales outside")
+    clipped = warns(ScoupWarning)
     with clipped if flat else contextlib.nullcontext():
         save_gaussians(given, tmp_path / f"a{suffix}")
     found = load_gaussians(tmp_path / f"a{suffix}")

@@ -11,9 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from io_samples import camera_difference, some_cameras
-from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import load_cameras, write_colmap, write_transforms
-from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.scene.cameras import Cameras
 
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])  # of ns-process-data
@@ -73,26 +71,3 @@ def test_cameras_of_colmap(tmp_path: Path, trained):
     write_colmap(cameras, tmp_path / "sparse" / "0")
     world = (four(orient) @ four(APPLIED))[:3]
     assert_follow(load_cameras(tmp_path, dataparser_transforms=path), cameras, world, scale)
-
-
-FAR = {"transform": [[1, 0, 0, 1e308], [0, 1, 0, 1e308], [0, 0, 1, 1e308]], "scale": 1e300}
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("content", "problem"), [
-    ([], "its content is a list of 0, expected an object"),
-    ({"scale": 1.0}, "transform"),
-    ({"transform": APPLIED.tolist()}, "scale"),
-    ({"transform": APPLIED.tolist(), "scale": 0}, "expected more than 0"),
-    ({"transform": (2 * APPLIED).tolist(), "scale": 1.0}, "not a rotation"),
-    ({"transform": np.eye(4)[[1, 0, 2]].tolist(), "scale": 1.0}, "not a rotation"),
-    ({"transform": [[1e200, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 1.0}, "not a rotation"),
-    (FAR, "moves cameras too far"),
-])  # fmt: skip
-def test_other_files_are_refused(tmp_path: Path, content: object, problem: str):
-    path = tmp_path / "dataparser_transforms.json"
-    with pytest.raises(MissingFileError):
-        in_trained_frame(some_cameras(2), path)
-    path.write_text(json.dumps(content))
-    with pytest.raises(FileFormatError, match=problem):
-        in_trained_frame(some_cameras(2), path)

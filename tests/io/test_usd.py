@@ -14,7 +14,8 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import InputError, ScoupError, WriteError
+from messages import refuses
+from scoup.base.errors import ScoupError, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned
@@ -89,13 +90,6 @@ def test_what_the_format_has_no_place_for(tmp_path: Path) -> None:
     assert attribute(prim, "opacities").tolist() == [1.0, 0.0, 0.5, 1.0, 0.25]
     lengths = [q.GetLength() for q in prim.GetAttribute("orientations").Get()]
     np.testing.assert_allclose(lengths, 1, atol=1e-6)
-    for refused, said in (
-        (given.select([]), "there are no Gaussians to write"),
-        (replace(given, means=given.means * torch.nan), "not finite"),
-    ):
-        with pytest.raises(InputError, match=said):
-            save_gaussians(refused, tmp_path / "b.usdc")
-    assert not (tmp_path / "b.usdc").exists()
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -114,12 +108,12 @@ def test_a_refusal_of_the_system_is_one_sentence(tmp_path: Path, monkeypatch: py
         return Stage()
 
     monkeypatch.setattr(usd, "_stage", refuse)
-    with pytest.raises(WriteError, match=r"a\.usda: cannot be written \(usd-core cannot write it\)"):
+    with refuses(WriteError):
         save_gaussians(some_gaussians(5), tmp_path / "a.usda")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(ScoupError, match=r"pip install 'scoup\[usd\]'"):
+    with refuses(ScoupError):
         save_gaussians(some_gaussians(5), tmp_path / "a.usda")
