@@ -3,31 +3,60 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from foreign_samples import LangSplatAutoencoder, save_langsplatv2
+from foreign_samples import LangSplatAutoencoder, save_langsplatv2, save_run, save_splatfacto
 from io_samples import save_checkpoint, some_gaussians
 from messages import refuses
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io import load_gaussians
+from scoup.io import load_gaussians, splat_source
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
+from scoup.scene.gaussians import Gaussians
 
 
-def test_one_file(tmp_path):
-    gaussians = some_gaussians(9, degree=2)
-    save_checkpoint(gaussians, tmp_path / "ckpt_99_rank0.pt")
-    again = read_gsplat_checkpoint(tmp_path / "ckpt_99_rank0.pt")
-    torch.testing.assert_close(again.scales, gaussians.scales)
-    torch.testing.assert_close(again.opacities, gaussians.opacities)
-    torch.testing.assert_close(again.quats, gaussians.quats)
-    assert torch.equal(again.sh, gaussians.sh)
+def save_nerfstudio(given: Gaussians, path: Path, older: bool = False) -> None:
+    save_run(path.parents[1], "data/kitchen")
+    save_splatfacto(some_gaussians(4, 0), path.with_name("step-000009999.ckpt"), older)
+    save_splatfacto(given, path, older)
+
+
+RUN = "kitchen/splatfacto/2026-01-01_000000"
+CHECKPOINTS = {
+    "gsplat": (save_checkpoint, "ckpts/ckpt_99_rank0.pt", "."),
+    "nerfstudio": (save_nerfstudio, f"{RUN}/nerfstudio_models/step-000029999.ckpt", RUN),
+    "older": (partial(save_nerfstudio, older=True), f"{RUN}/nerfstudio_models/step-000029999.ckpt", RUN),
+    "LangSplatV2": (save_langsplatv2, "chkpnt10000.pth", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+@pytest.mark.parametrize("name", CHECKPOINTS)
+def test_what_trainers_write_is_read(tmp_path: Path, name: str, degree: int) -> None:
+    given, (save, file, folder) = some_gaussians(9, degree), CHECKPOINTS[name]
+    given.sh.clamp_(-1, 1)
+    saved = save(given, tmp_path / file)
+    if folder is None:
+        read = read_langsplat(tmp_path / file)
+        assert np.array_equal(read.values[:, 0], saved[0].numpy())
+        assert read.codebooks is not None
+        assert np.array_equal(read.codebooks, saved[1].numpy())
+        found = [read.gaussians]
+    else:
+        places = (tmp_path / file, tmp_path / folder)
+        found = [load_gaussians(place) for place in places]
+        assert {splat_source(place).preset for place in places} == {"gsplat"}
+    for each, (part, tensor) in product(found, given.tensors().items()):
+        torch.testing.assert_close(each.tensors()[part], tensor, rtol=1e-5, atol=2e-6)
+        if part == "means" or (part == "sh" and name in ("gsplat", "LangSplatV2")):
+            assert each.tensors()[part].equal(tensor)
 
 
 def test_all_ranks_of_the_latest_step_in_order(tmp_path):
@@ -45,19 +74,6 @@ def test_all_ranks_of_the_latest_step_in_order(tmp_path):
     (tmp_path / "ckpts" / "ckpt_30_rank1.pt").unlink()
     with refuses(MissingFileError):  # which step 7 has
         read_gsplat_checkpoint(tmp_path)
-
-
-@pytest.mark.parametrize("degree", [0, 3])
-def test_checkpoints_are_read(tmp_path: Path, degree: int) -> None:
-    given = some_gaussians(7, degree)
-    logits, codebooks = save_langsplatv2(given, tmp_path / "chkpnt10000.pth")
-    found = read_langsplat(tmp_path / "chkpnt10000.pth")
-    for name in ("scales", "opacities", "quats"):
-        torch.testing.assert_close(getattr(found.gaussians, name), getattr(given, name), rtol=1e-5, atol=1e-6)
-    assert found.gaussians.sh.equal(given.sh)
-    assert np.array_equal(found.values[:, 0], logits.numpy())
-    assert found.codebooks is not None
-    assert np.array_equal(found.codebooks, codebooks.numpy())
 
 
 def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> None:
@@ -87,18 +103,12 @@ def test_the_autoencoder_decodes_as_langsplats_does(tmp_path: Path) -> None:
         read_autoencoder(tmp_path / "best_ckpt.pth")(np.zeros((2, 5)))
 
 
-def several_parts(path: Path) -> None:
-    path.write_bytes(b"PK\6\7" + bytes(12) + (2).to_bytes(4, "little") + b"PK\5\6" + bytes(18))
-
-
-def other_archive(path: Path) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
+def test_archives_that_libraries_refuse(tmp_path: Path) -> None:
+    """In words that are theirs: an archive of other content, and one in several parts."""
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
         archive.writestr("hello.txt", "hello")
-
-
-@pytest.mark.parametrize("write", [several_parts, other_archive])
-def test_archives_that_libraries_refuse(tmp_path: Path, write: Callable[[Path], None]) -> None:
-    """In words that are theirs."""
-    write(tmp_path / "a.pt")
-    with pytest.raises(FileFormatError, match="cannot be loaded"):
-        load_gaussians(tmp_path / "a.pt")
+    locator = b"PK\6\7" + bytes(12) + (2).to_bytes(4, "little")
+    for content in ((tmp_path / "a.pt").read_bytes(), locator + b"PK\5\6" + bytes(18)):
+        (tmp_path / "a.pt").write_bytes(content)
+        with pytest.raises(FileFormatError, match="cannot be loaded"):
+            load_gaussians(tmp_path / "a.pt")

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from foreign_samples import save_run
 from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
-from messages import refuses
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.field.content import TENSORS
 from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
@@ -285,6 +285,8 @@ def test_values_that_a_format_has_no_place_for(tmp_path: Path, ending: str) -> N
     opacities = torch.tensor([torch.inf, 0.0, -1.0, 1.5, 1.0])
     quats = given.quats * torch.tensor([1, 3, 1, 1, 0])[:, None]
     save_gaussians(replace(given, scales=-given.scales, opacities=opacities, quats=quats), path)
+    if ending == ".glb":
+        check_rules(path)
     if ending != ".usdc":  # which is not read
         found = load_gaussians(path)
         assert found.opacities.tolist() == [1.0, 0.0, 0.0, 1.0, 1.0]
@@ -301,3 +303,12 @@ def test_values_that_a_format_has_no_place_for(tmp_path: Path, ending: str) -> N
         with refuses():
             save_gaussians(replace(given, **{name: spoiled}), tmp_path / f"b{ending}")
     assert not (tmp_path / f"b{ending}").exists()
+
+
+@pytest.mark.parametrize(("ending", "rounded"), [(".glb", 0), (".spz", SPZ.sh[1])])
+def test_degree_4_is_cut_to_3(tmp_path: Path, ending: str, rounded: float) -> None:
+    given = tame(3, 4, 3)
+    with warns(ScoupWarning):
+        save_gaussians(given, tmp_path / f"a{ending}")
+    found = load_gaussians(tmp_path / f"a{ending}")
+    torch.testing.assert_close(found.sh[:, 1:], given.sh[:, 1:16], rtol=0, atol=rounded)

@@ -35,7 +35,6 @@ from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
 from support import examples
 
 
@@ -49,27 +48,6 @@ def test_features_are_written_by_the_rules(tmp_path_factory, count, suffix, data
     write_gltf(some_gaussians(count, 3), path, features=features)
     check_rules(path)
     assert features_of(path) == (None if ids is None else (ids, names))
-
-
-def test_what_gltf_does_not_allow_is_mended(tmp_path):
-    gaussians = some_gaussians(4, 0)
-    quats = gaussians.quats * torch.tensor([1, 3, 1, 0])[:, None]
-    opacities = torch.tensor([0.5, 1.5, -0.5, torch.inf])
-    ugly = Gaussians(gaussians.means, quats, -gaussians.scales, opacities, gaussians.sh)
-    write_gltf(ugly, tmp_path / "a.glb")
-    check_rules(tmp_path / "a.glb")
-    again = read_gltf(tmp_path / "a.glb")
-    assert torch.equal(again.scales, gaussians.scales)
-    assert again.opacities.tolist() == [0.5, 1, 0, 1]
-    torch.testing.assert_close(again.quats[:3], gaussians.quats[:3], atol=1e-6, rtol=0)
-    assert again.quats[3].tolist() == [1, 0, 0, 0]
-
-
-def test_degree_4_is_cut_to_3(tmp_path):
-    gaussians = some_gaussians(3, 4)
-    with warns(ScoupWarning):
-        write_gltf(gaussians, tmp_path / "a.glb")
-    assert torch.equal(read_gltf(tmp_path / "a.glb").sh, gaussians.sh[:, :16])
 
 
 def test_the_fallback_is_linear_rgb_of_degree_0(tmp_path):

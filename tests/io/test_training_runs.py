@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from foreign_samples import save_results, save_run, save_splatfacto, some_similarity
+from foreign_samples import save_results, save_run, some_similarity
 from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
 from messages import refuses
 from scoup.base.errors import FileFormatError, MissingFileError
@@ -41,23 +41,6 @@ def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
     matrix = torch.from_numpy(transform)
     means = (gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float()
     return Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
-
-
-@pytest.mark.parametrize("older", [False, True])
-@pytest.mark.parametrize("degree", [0, 3])
-def test_splats_of_nerfstudio_are_read(tmp_path: Path, degree: int, older: bool) -> None:
-    given = some_gaussians(9, degree)
-    given.sh.clamp_(-1, 1)
-    run = tmp_path / "outputs/kitchen/splatfacto/2026-01-01_000000"
-    save_run(run, "data/kitchen")
-    save_splatfacto(some_gaussians(4, degree), run / "nerfstudio_models/step-000009999.ckpt", older)
-    save_splatfacto(given, run / "nerfstudio_models/step-000029999.ckpt", older)
-    for path in (run, run / "nerfstudio_models/step-000029999.ckpt"):
-        found = load_gaussians(path)
-        assert found.means.equal(given.means)
-        for name in ("quats", "scales", "opacities", "sh"):
-            assert torch.allclose(getattr(found, name), getattr(given, name), rtol=1e-5, atol=2e-6), name
-        assert splat_source(path).preset == "gsplat"
 
 
 def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:

@@ -1,17 +1,29 @@
-"""Labelled points from PLY files, and what is wrong with others."""
+"""Transforms and labelled points in files."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from scene_damages import POINT_HEADER
+from scene_damages import POINT_HEADER, TURNED
 
 from messages import refuses
 from scoup.base.errors import MissingFileError, OutputExistsError
+from scoup.io.similarity import read_similarity
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
+
+
+@pytest.mark.parametrize(
+    "text", [json.dumps(TURNED.tolist()), "\n\n".join(" ".join(map(str, row)) for row in TURNED), "\n".join(
+        ", ".join(map(str, row)) for row in TURNED)]
+)  # fmt: skip
+def test_text_and_json(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    assert np.array_equal(read_similarity(path), TURNED)
 
 
 def test_a_mesh_as_scannet_writes_it(tmp_path: Path) -> None:
