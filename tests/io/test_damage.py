@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import checkpoint_damages
 import pytest
 import scene_damages
 import splat_damages
@@ -11,7 +12,7 @@ import splat_damages
 from messages import refuses
 from scoup.base.errors import FileFormatError, MissingFileError
 
-KINDS = splat_damages.KINDS | scene_damages.KINDS
+KINDS = splat_damages.KINDS | checkpoint_damages.KINDS | scene_damages.KINDS
 CASES = [(name, damage) for name, kind in KINDS.items() for damage in kind.damages]
 
 

@@ -157,8 +157,8 @@ def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path):
     columns["scale_2"][2] = np.inf
     columns["f_rest_3"][3] = -np.inf
     columns["opacity"][4] = np.nan
-    for name in ("rot_0", "rot_1", "rot_2", "rot_3"):
-        columns[name][5] = 0
+    for part in range(4):
+        columns[f"rot_{part}"][5] = 0
     columns["opacity"][6] = np.inf
     table = read_ply_table(ply_file(tmp_path / "a.ply", columns))
     with warns(ScoupWarning):
