@@ -112,21 +112,19 @@ def stored_view(regions: Regions, name: str, dtype: str = "<f4", photograph: str
 
 def save_langsplat(regions: Regions, folder: Path) -> None:
     """Write the files of LangSplat: labels are rows of all levels, one after the other; "default" is empty."""
-    folder.mkdir(parents=True, exist_ok=True)
     for name in regions.view_names:
         maps, start = [regions.load(name, level) for level in LEVELS], 0
         planes = [np.full(maps[0].labels.shape, -1, np.float32)]
         for item in maps:
             planes.append(np.where(item.labels >= 0, item.labels.numpy() + start, -1).astype(np.float32))
             start += len(item.embeddings)
-        stem = Path(name).name.partition(".")[0]
-        np.save(folder / f"{stem}_s.npy", np.stack(planes))
-        np.save(folder / f"{stem}_f.npy", torch.cat([item.embeddings for item in maps]).numpy())
+        rows = torch.cat([item.embeddings for item in maps]).numpy()
+        save_npy(folder, Path(name).name.partition(".")[0], np.stack(planes), rows)
 
 
 def save_npy(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> Path:
     """Labels and embeddings of a view in the layout of LangSplat."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     np.save(folder / f"{stem}_s.npy", planes)
     np.save(folder / f"{stem}_f.npy", rows)
     return folder
@@ -242,20 +240,14 @@ def save_checkpoint(gaussians: Gaussians, path: Path, **changes: Any) -> Path:
 
 def write_inria_cameras(cameras: Cameras, path: str | Path) -> None:
     """Write cameras.json. The layout has no principal point; readers take the image centre."""
-    entries = []
-    for position, camera in enumerate(cameras):
-        entries.append(
-            {
-                "id": position,
-                "img_name": camera.name,
-                "width": camera.width,
-                "height": camera.height,
-                "position": camera.position.tolist(),
-                "rotation": camera.viewmat[:3, :3].T.tolist(),
-                "fy": camera.fy,
-                "fx": camera.fx,
-            }
-        )
+    entries = [
+        {
+            "id": number, "img_name": each.name, "width": each.width, "height": each.height,
+            "position": each.position.tolist(), "rotation": each.viewmat[:3, :3].T.tolist(),
+            "fy": each.fy, "fx": each.fx,
+        }
+        for number, each in enumerate(cameras)
+    ]  # fmt: skip
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     Path(path).write_text(json.dumps(entries, indent=1) + "\n")
 

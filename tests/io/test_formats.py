@@ -19,7 +19,7 @@ from foreign_samples import save_run
 from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base.errors import FileFormatError, OutputExistsError, ScoupWarning
 from scoup.field.content import TENSORS
 from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
@@ -233,8 +233,6 @@ def test_axes_can_be_kept(tmp_path: Path, ending: str) -> None:
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_damaged_files_are_refused_by_name(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"a{ending}"
-    with refuses(MissingFileError):
-        load_gaussians(path)
     save_gaussians(some_gaussians(40), path)
     content = path.read_bytes()
     damages = [b"", content[:1], content[: len(content) // 2 - 1]]

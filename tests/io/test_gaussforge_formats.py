@@ -10,24 +10,17 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import some_gaussians
+from io_samples import tame
 from messages import refuses, warns
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
-from scoup.scene.gaussians import Gaussians
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed")
 
 
-def wide(count: int, degree: int = 1) -> Gaussians:
-    """Gaussians that lie apart, so that each can be found again by its place."""
-    made = some_gaussians(count, degree, seed=3)
-    return Gaussians(made.means * 10, made.quats, made.scales, made.opacities, made.sh.clamp(-1, 1))
-
-
 def test_an_unbundled_sog(tmp_path: Path) -> None:
-    save_gaussians(wide(300), tmp_path / "a.sog")
+    save_gaussians(tame(300, 1, 3, 10.0), tmp_path / "a.sog")
     folder = tmp_path / "sog"
     with zipfile.ZipFile(tmp_path / "a.sog") as archive:
         archive.extractall(folder)
@@ -53,7 +46,7 @@ def test_a_converter_that_crashes_or_hangs_is_a_refusal(
     with refuses(FileFormatError):
         load_gaussians(tmp_path / "a.sog")
     with refuses(ScoupError):
-        save_gaussians(wide(3), tmp_path / "b.sog")
+        save_gaussians(tame(3, 1, 3), tmp_path / "b.sog")
     assert not (tmp_path / "b.sog").exists()
     monkeypatch.setattr(gaussforge_formats, "_PROGRAM", "import time; time.sleep(60)")
     monkeypatch.setattr(gaussforge_formats, "_LEAST_SECONDS", 0.5)
@@ -67,12 +60,12 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with refuses(ScoupError):
         load_gaussians(tmp_path / "a.ksplat")
     with refuses(ScoupError):
-        save_gaussians(wide(3), tmp_path / "b.sog")
+        save_gaussians(tame(3, 1, 3), tmp_path / "b.sog")
 
 
 def test_harmonics_of_ksplat_stand_in_the_order_of_the_format(tmp_path: Path) -> None:
     """Degree 1 of red, green and blue, then degree 2 of each, as GaussianSplats3D has them; it knows no degree 3."""
-    made = wide(1, 3)
+    made = tame(1, 3, 3)
     with warns(ScoupWarning):
         save_gaussians(made, tmp_path / "a.ksplat")
     row = np.frombuffer((tmp_path / "a.ksplat").read_bytes()[4096 + 1024 :], "<f4")[11 : 11 + 24]

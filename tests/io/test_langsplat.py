@@ -144,8 +144,6 @@ def test_stems_are_cut_at_the_first_dot(tmp_path):
 def test_missing_features(tmp_path):
     cameras = some_cameras(4)
     with refuses(MissingFileError):
-        load_regions(tmp_path / "none", cameras)
-    with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
     save_npy(tmp_path, "frame_00001", planes_of([-1], [0], [1], [2]), unit_rows(3))
     with refuses(MissingFileError):
