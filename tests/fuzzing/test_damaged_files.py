@@ -18,7 +18,6 @@ from tests.fuzzing.readers import READERS, Memory, Reader
 from tests.fuzzing.samples import write_samples
 from tests.fuzzing.target import Misbehaviour, file_of, pack_parts, seeds_of, target_of, unpack_parts
 
-from messages import refuses
 from scoup.base.errors import FileFormatError, ScoupWarning
 from support import examples
 
@@ -177,5 +176,5 @@ def test_pointers_of_git_lfs_are_named(samples: Path, tmp_path: Path, name: str)
     reader, folder = READERS[name], tmp_path / "files"
     shutil.copytree(samples, folder)
     (folder / reader.file).write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
-    with refuses(FileFormatError):
+    with pytest.raises(FileFormatError, match="pointer of Git LFS"):
         reader.read(folder)

@@ -173,7 +173,7 @@ def test_a_damaged_source_leaves_nothing(tmp_path: Path) -> None:
     cameras = some_cameras(2)
     save_langsplat(some_regions(cameras), tmp_path / "a")
     os.truncate(tmp_path / "a" / "view_01_f.npy", 150)
-    with refuses(FileFormatError):
+    with pytest.raises(FileFormatError, match=r"view_01_f\.npy"):
         convert_regions(tmp_path / "a", tmp_path / "b")
     assert {path.name for path in tmp_path.iterdir()} == {"a"}
 

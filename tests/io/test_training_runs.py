@@ -244,5 +244,5 @@ def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: 
 def test_data_of_a_name_that_no_system_takes(tmp_path: Path, named: str) -> None:
     (tmp_path / "cfg.yml").write_text(f"data_dir: {named}\n")
     (tmp_path / "ckpts").mkdir()
-    with refuses(MissingFileError):
+    with pytest.raises(MissingFileError, match="not on this machine"):
         load_cameras(tmp_path)
