@@ -8,11 +8,14 @@ import math
 import struct
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from scoup.io import ViewRegions
+from scoup.io.regions.compact import write_view
+from scoup.io.regions.manifest import RegionManifest, write_manifest
+from scoup.io.regions.views import ViewRegions
 from scoup.io.splats.spz import write_spz
 from scoup.scene import (
     LEVELS,
@@ -25,6 +28,8 @@ from scoup.scene import (
     rotation_matrices,
 )
 
+MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
+
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
@@ -36,6 +41,15 @@ def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
         opacities=torch.rand(count, generator=generator),
         sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
     )
+
+
+def tame(count: int, degree: int, seed: int, largest: float = 4.0, most_sh: float = 0.9) -> Gaussians:
+    """Gaussians within the ranges of formats that round."""
+    made = some_gaussians(count, degree, seed)
+    sh = made.sh.clamp(-3, 3)
+    sh[:, 1:] = made.sh[:, 1:].clamp(-most_sh, most_sh)
+    means = made.means / made.means.abs().max().clamp(min=1e-3) * largest
+    return Gaussians(means, made.quats, made.scales.clamp(5e-5, 300), made.opacities, sh)
 
 
 def same_gaussians(one: Gaussians, other: Gaussians) -> bool:
@@ -104,16 +118,44 @@ def stored_view(regions: Regions, name: str, dtype: str = "<f4", photograph: str
 
 def save_langsplat(regions: Regions, folder: Path) -> None:
     """Write the files of LangSplat: labels are rows of all levels, one after the other; "default" is empty."""
-    folder.mkdir(parents=True, exist_ok=True)
     for name in regions.view_names:
         maps, start = [regions.load(name, level) for level in LEVELS], 0
         planes = [np.full(maps[0].labels.shape, -1, np.float32)]
         for item in maps:
             planes.append(np.where(item.labels >= 0, item.labels.numpy() + start, -1).astype(np.float32))
             start += len(item.embeddings)
-        stem = Path(name).name.partition(".")[0]
-        np.save(folder / f"{stem}_s.npy", np.stack(planes))
-        np.save(folder / f"{stem}_f.npy", torch.cat([item.embeddings for item in maps]).numpy())
+        rows = torch.cat([item.embeddings for item in maps]).numpy()
+        save_npy(folder, Path(name).name.partition(".")[0], np.stack(planes), rows)
+
+
+def save_npy(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> Path:
+    """Labels and embeddings of a view in the layout of LangSplat."""
+    folder.mkdir(parents=True, exist_ok=True)
+    np.save(folder / f"{stem}_s.npy", planes)
+    np.save(folder / f"{stem}_f.npy", rows)
+    return folder
+
+
+def unit_rows(count: int, dimensions: int = 4) -> np.ndarray:
+    rows = np.random.default_rng(count).normal(size=(count, dimensions)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def planes_of(*values: list[int], width: int = 32, height: int = 24) -> np.ndarray:
+    """Planes that hold the given labels in turn."""
+    planes = [np.resize(np.array(item, np.float32), height * width).reshape(height, width) for item in values]
+    return np.stack(planes)
+
+
+def save_compact(folder: Path, cameras: Cameras, bits: int = 32) -> Regions:
+    """Write the regions of ``some_regions`` in the compact layout."""
+    regions = some_regions(cameras)
+    folder.mkdir(exist_ok=True, parents=True)
+    write_manifest(folder, MANIFEST_OF_TESTS)
+    for camera in cameras:
+        view = stored_view(regions, camera.name, f"f{bits // 8}", "photo")
+        write_view(folder, camera.stem, view, MANIFEST_OF_TESTS.fingerprint)
+    return regions
 
 
 def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
@@ -125,6 +167,31 @@ def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
         shape = (camera.height // divisor, camera.width // divisor, 3)
         pixels = np.random.default_rng(number).integers(0, 256, shape).astype(np.uint8)
         Image.fromarray(pixels).save(folder / camera.name)
+
+
+def raw_columns(count: int = 5, rest: int = 0, seed: int = 0) -> dict[str, np.ndarray]:
+    """Random columns of a PLY of Inria's layout."""
+    generator = np.random.default_rng(seed)
+    names = ["x", "y", "z", *(f"f_dc_{c}" for c in range(3)), *(f"f_rest_{number}" for number in range(rest))]
+    names += ["opacity", *(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
+    return {name: generator.normal(size=count).astype(np.float32) for name in names}
+
+
+def ply_file(path: Path, columns: dict[str, np.ndarray], encoding: str = "binary_little_endian") -> Path:
+    """A PLY written by other means than those tested."""
+    order = ">" if "big" in encoding else "<"
+    names = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int"}
+    kinds = [(name, order + values.dtype.str[1:]) for name, values in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()))), kinds)
+    for key, values in columns.items():
+        rows[key] = values
+    lines = [f"property {names[values.dtype.str[1:]]} {name}" for name, values in columns.items()]
+    start = ["ply", f"format {encoding} 1.0", f"element vertex {len(rows)}"]
+    body = rows.tobytes()
+    if encoding == "ascii":
+        body = b"".join(" ".join(repr(float(each)) for each in row).encode() + b"\n" for row in rows.tolist())
+    path.write_bytes("\n".join([*start, *lines, "end_header", ""]).encode() + body)
+    return path
 
 
 def save_compressed_ply(path: Path, count: int = 300, rest: int = 9, seed: int = 0) -> None:
@@ -165,36 +232,28 @@ def save_spz(gaussians: Gaussians, path: Path, version: int) -> None:
     path.write_bytes(gzip.compress(start + b"".join(row.tobytes() for row in rows), mtime=0))
 
 
-def save_checkpoint(gaussians: Gaussians, path: Path) -> None:
-    """What gsplat's trainer writes for one rank."""
+def save_checkpoint(gaussians: Gaussians, path: Path, **changes: Any) -> Path:
+    """What gsplat's trainer writes for one rank, with other tensors in the place of some."""
     path.parent.mkdir(parents=True, exist_ok=True)
     splats = {
-        "means": gaussians.means,
-        "quats": gaussians.quats * 1.7,
-        "scales": gaussians.scales.log(),
-        "opacities": torch.logit(gaussians.opacities),
-        "sh0": gaussians.sh[:, :1].clone(),
-        "shN": gaussians.sh[:, 1:].clone(),
-    }
+        "means": gaussians.means, "quats": gaussians.quats * 1.7, "scales": gaussians.scales.log(),
+        "opacities": torch.logit(gaussians.opacities), "sh0": gaussians.sh[:, :1].clone(),
+        "shN": gaussians.sh[:, 1:].clone(), **changes,
+    }  # fmt: skip
     torch.save({"step": 100, "splats": splats}, path)
+    return path
 
 
 def write_inria_cameras(cameras: Cameras, path: str | Path) -> None:
     """Write cameras.json. The layout has no principal point; readers take the image centre."""
-    entries = []
-    for position, camera in enumerate(cameras):
-        entries.append(
-            {
-                "id": position,
-                "img_name": camera.name,
-                "width": camera.width,
-                "height": camera.height,
-                "position": camera.position.tolist(),
-                "rotation": camera.viewmat[:3, :3].T.tolist(),
-                "fy": camera.fy,
-                "fx": camera.fx,
-            }
-        )
+    entries = [
+        {
+            "id": number, "img_name": each.name, "width": each.width, "height": each.height,
+            "position": each.position.tolist(), "rotation": each.viewmat[:3, :3].T.tolist(),
+            "fy": each.fy, "fx": each.fx,
+        }
+        for number, each in enumerate(cameras)
+    ]  # fmt: skip
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     Path(path).write_text(json.dumps(entries, indent=1) + "\n")
 
@@ -216,3 +275,22 @@ def write_colmap_text(
     lines = [" ".join(map(repr, (number, *position, *color, 0))) for number, (position, color) in rows]
     for name, content in (("cameras", lenses), ("images", images), ("points3D", lines)):
         (folder / f"{name}.txt").write_text("\n".join(content) + "\n")
+
+
+def text_model(folder: Path, lens: str, images: str = "1 1 0 0 0 0.5 0.25 2 1 a b.jpg\n\n") -> Path:
+    """A COLMAP model of these lines."""
+    folder.mkdir(exist_ok=True)
+    (folder / "cameras.txt").write_text(f"# cameras\n{lens}\n")
+    (folder / "images.txt").write_text(f"# images\n{images}")
+    return folder
+
+
+def transforms(folder: Path, frame: dict[str, Any] | None = None, **settings: Any) -> Path:
+    """A transforms.json of one frame at (1, 2, 3), looking along its -z."""
+    pose = np.eye(4)
+    pose[:3, 3] = 1, 2, 3
+    frames = [{"file_path": "./images/a.png", "transform_matrix": pose.tolist(), **(frame or {})}]
+    content = {"w": 32, "h": 24, "fl_x": 30.0, "frames": frames, **settings}
+    content = {key: value for key, value in content.items() if value is not None}
+    (folder / "transforms.json").write_text(json.dumps(content))
+    return folder / "transforms.json"

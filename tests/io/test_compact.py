@@ -17,17 +17,21 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
-from io_samples import save_langsplat, some_cameras, some_regions, stored_view
-from scoup.base import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from io_samples import (
+    MANIFEST_OF_TESTS,
+    save_compact,
+    save_langsplat,
+    some_cameras,
+    some_regions,
+)
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions
 from scoup.io.regions.compact import open_view, write_view
-from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.manifest import RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions
-from scoup.scene import LEVELS, Cameras
-
-MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
-
+from scoup.scene.regions import LEVELS
 
 CAMERA = some_cameras(1)
 
@@ -35,19 +39,8 @@ CAMERA = some_cameras(1)
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """The file of the only view of a folder, in 16 bits."""
-    write(tmp_path, CAMERA, bits=16)
+    save_compact(tmp_path, CAMERA, bits=16)
     return tmp_path / "view_00.regions"
-
-
-def write(folder: Path, cameras: Cameras, bits: int = 32):
-    """The regions of ``some_regions`` in the compact layout."""
-    regions = some_regions(cameras)
-    folder.mkdir(exist_ok=True, parents=True)
-    write_manifest(folder, MANIFEST_OF_TESTS)
-    for camera in cameras:
-        view = stored_view(regions, camera.name, f"f{bits // 8}", "photo")
-        write_view(folder, camera.stem, view, MANIFEST_OF_TESTS.fingerprint)
-    return regions
 
 
 ROWS = st.sampled_from([0, 1, 3, 65_535, 65_536, 70_000])
@@ -67,42 +60,13 @@ def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> 
 
 def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:
     cameras = some_cameras(3)
-    write(tmp_path, cameras)
+    save_compact(tmp_path, cameras)
     (tmp_path / "view_01.regions").unlink()
-    with pytest.warns(ScoupWarning, match="skipped 1 of 3 cameras that have no features"):
+    with warns(ScoupWarning):
         assert load_regions(tmp_path, cameras).view_names == ("view_00.png", "view_02.png")
     write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, settings={"other": 1}), overwrite=True)
-    with pytest.raises(MissingFileError, match=r"none of the 3 cameras: expected view_00\.regions"):
+    with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
-
-
-def test_headers_are_not_trusted(path: Path) -> None:
-    """Sizes that the data cannot have are refused before memory is taken."""
-    tensors = load_file(path)
-    header = {
-        "schema": "scoup.regions", "version": 1, "view": "view_00.png", "width": 32, "height": 24,
-        "levels": list(LEVELS), "manifest": MANIFEST_OF_TESTS.fingerprint,
-    }  # fmt: skip
-    for change, message in (
-        ({"width": 90_000, "height": 90_000}, "cannot contain 90000 x 90000 labels"),
-        ({"width": 33, "height": 25}, "labels of another size than its header says"),
-        ({"width": 31, "height": 23}, "labels of another size than its header says"),
-        ({"width": 0}, "width is 0, expected a whole number from 1"),
-        ({"levels": []}, "has no levels"),
-        ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),
-        ({"levels": ["s", "m"]}, "has levels"),
-        ({"version": 2}, r"written by a newer SCOUP \(format version 2, this one reads up to 1\); update it"),
-        ({"version": "1"}, "has an invalid format version"),
-        ({"schema": "other"}, "schema is 'other', expected scoup.regions"),
-    ):
-        save_file(tensors, path, {"scoup": json.dumps({**header, **change})})
-        with pytest.raises(FileFormatError, match=message):
-            load_regions(path.parent, CAMERA).load("view_00.png", "s")
-    rows = tensors["embeddings.s"]
-    for wrong, message in ((rows[:2], "labels up to 5 for 2 embeddings"), (rows * np.nan, "not finite")):
-        save_file({**tensors, "embeddings.s": wrong}, path, {"scoup": json.dumps(header)})
-        with pytest.raises(FileFormatError, match=message):
-            load_regions(path.parent, CAMERA).load("view_00.png", "s")
 
 
 def test_every_flipped_bit_and_every_cut_is_noticed(path: Path) -> None:
@@ -124,7 +88,7 @@ def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
         header = json.loads(stream.metadata()["scoup"])
     assert header.pop("checksums").keys() == tensors.keys()
     save_file(tensors, path, {"scoup": json.dumps(header)})
-    with pytest.raises(FileFormatError, match="checksum of the header"):
+    with refuses(FileFormatError):
         open_view(tmp_path, "view_00")
     del header["checksum"]
     save_file(tensors, path, {"scoup": json.dumps(header)})
@@ -132,26 +96,10 @@ def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
     assert all((again.embeddings[level] == view.embeddings[level]).all() for level in LEVELS)
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("{", "not valid JSON"),
-    ("[]", "its content is a list of 0, expected an object"),
-    ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
-    (
-        '{"schema": "scoup.regions", "version": 1, "layout": "other", "settings": {}, "embedding_model": "a"}',
-        "layout is 'other', expected compact",
-    ),
-])  # fmt: skip
-def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:
-    write(tmp_path, some_cameras(1))
-    (tmp_path / MANIFEST).write_text(text)
-    with pytest.raises(FileFormatError, match=message):
-        load_regions(tmp_path, some_cameras(1))
-
-
 def test_several_processes_may_write_one_manifest(tmp_path: Path) -> None:
     write_manifest(tmp_path, MANIFEST_OF_TESTS)
     write_manifest(tmp_path, MANIFEST_OF_TESTS)
-    with pytest.raises(InputError, match="another process"):
+    with refuses():
         write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, embedding_model="another"))
     assert read_manifest(tmp_path) == MANIFEST_OF_TESTS
 
@@ -198,23 +146,23 @@ def test_langsplat_to_compact_is_lossless(tmp_path: Path) -> None:
 def test_conversions_that_are_refused(tmp_path: Path) -> None:
     cameras = some_cameras(2)
     save_langsplat(some_regions(cameras), tmp_path / "a")
-    with pytest.raises(InputError, match="one folder"):
+    with refuses():
         convert_regions(tmp_path / "a", tmp_path / "a")
-    with pytest.raises(InputError, match="16 or 32 bits"):
+    with refuses():
         convert_regions(tmp_path / "a", tmp_path / "b", bits=8)
-    with pytest.raises(MissingFileError, match="no such folder"):
+    with refuses(MissingFileError):
         convert_regions(tmp_path / "nowhere", tmp_path / "b")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFileError, match="contains no region features"):
+    with refuses(MissingFileError):
         convert_regions(tmp_path / "empty", tmp_path / "b")
     assert not (tmp_path / "b").exists()
     convert_regions(tmp_path / "a", tmp_path / "b")
     before = snapshot(tmp_path / "b")
     with pytest.raises(OutputExistsError):
         convert_regions(tmp_path / "a", tmp_path / "b")
-    with pytest.raises(InputError, match=r"region features made with other settings \(bits: 32, not 16\)"):
+    with refuses():
         convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
-    with pytest.raises(InputError, match="region features that were not made by scoup"):
+    with refuses():
         convert_regions(tmp_path / "b", tmp_path / "a", overwrite=True)
     assert snapshot(tmp_path / "b") == before
     convert_regions(tmp_path / "a", tmp_path / "b", bits=32, overwrite=True)
@@ -240,5 +188,5 @@ def test_rows_of_nothing_are_refused(path: Path) -> None:
     save_file(tensors, path, header)
     raw = path.read_bytes()
     path.write_bytes(raw.replace(b'"shape":[0,0]', b'"shape":[9,0]'))
-    with pytest.raises(FileFormatError, match="embeddings of no dimension"):
+    with refuses(FileFormatError):
         load_regions(path.parent, CAMERA)

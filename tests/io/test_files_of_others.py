@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,14 +14,16 @@ import torch
 
 from io_samples import (
     camera_difference,
+    ply_file,
+    raw_columns,
     same_gaussians,
     save_images,
     some_cameras,
     some_gaussians,
     write_colmap_text,
-    write_inria_cameras,
 )
-from scoup.base import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,
@@ -61,16 +62,14 @@ def test_ply_headers_of_any_text(tmp_path: Path, line: bytes) -> None:
 
 @pytest.mark.parametrize("nan", [b"nan", b"-nan(ind)", b"1.#QNAN", b"-1.#IND00", b"1.#INF"])
 def test_numbers_of_ascii_ply_files(tmp_path: Path, nan: bytes) -> None:
-    names = ["x", "y", "z", *(f"f_dc_{n}" for n in range(3)), "opacity", *(f"scale_{n}" for n in range(3))]
-    names += [f"rot_{n}" for n in range(4)]
-    head = ["ply", "format ascii 1.0", "element vertex 2", *(f"property float {name}" for name in names)]
+    path = ply_file(tmp_path / "a.ply", dict.fromkeys(raw_columns(2), np.full(2, 0.5, np.float32)), "ascii")
     row = b" ".join([b"0.5"] * 14)
-    content = "\n".join([*head, "end_header", ""]).encode() + b"\xef\xbb\xbf" + row + b"\n"
+    content = path.read_bytes().replace(row + b"\n" + row + b"\n", b"\xef\xbb\xbf" + row + b"\n")
     (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", nan, 1))
-    with pytest.warns(ScoupWarning, match="dropped 1 of 2"):
+    with warns(ScoupWarning):
         assert len(load_gaussians(tmp_path / "a.ply")) == 1
     (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", b"0,5"))
-    with pytest.raises(FileFormatError, match=r"has '0,5' in place of a number \(row 2\)"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "a.ply")
 
 
@@ -87,26 +86,8 @@ def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
     (write_colmap if binary else write_colmap_text)(some_cameras(1), tmp_path / "sparse/0")
     path = tmp_path / "sparse/0" / ("images.bin" if binary else "images.txt")
     path.write_bytes(path.read_bytes().replace(b"view_00.png", b"K\xfcche.png"))
-    with pytest.warns(ScoupWarning, match="is not in UTF-8"):
+    with warns(ScoupWarning):
         assert load_cameras(tmp_path, missing_images="keep").names == ("Küche.png",)
-
-
-@pytest.mark.parametrize(("number", "model", "parameters"), [
-    (12, "SIMPLE_DIVISION", 4), (13, "DIVISION", 5), (14, "SIMPLE_FISHEYE", 3), (15, "FISHEYE", 4), (16, "EUCM", 6),
-    (17, "EQUIRECTANGULAR", 2), (99, "99", 4),
-])  # fmt: skip
-def test_lenses_of_colmap_4(tmp_path: Path, number: int, model: str, parameters: int) -> None:
-    remedy = "panorama_sfm" if model == "EQUIRECTANGULAR" else "colmap image_undistorter"
-    for text in (False, True):
-        folder = tmp_path / str(text) / "sparse/0"
-        (write_colmap_text if text else write_colmap)(some_cameras(1), folder)
-        if text:
-            (folder / "cameras.txt").write_text(f"1 {model} 480 360 " + "433 " * parameters)
-        else:
-            lens = struct.pack(f"<QiiQQ{parameters}d", 1, 1, number, 480, 360, *[433.0] * parameters)
-            (folder / "cameras.bin").write_bytes(lens)
-        with pytest.raises(FileFormatError, match=f"camera.* model {model}.*{remedy}"):
-            load_cameras(folder)
 
 
 def test_one_line_per_image(tmp_path: Path) -> None:
@@ -135,7 +116,7 @@ def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
     assert loaded[0].image_path == tmp_path / "train/view_00.png"
     assert [item.path for item in find_photographs(tmp_path)] == [camera.image_path for camera in loaded]
     (tmp_path / "transforms_train.json").unlink()
-    with pytest.raises(MissingFileError, match=r"pass the file itself: .*transforms_test.json"):
+    with refuses(MissingFileError):
         load_cameras(tmp_path)
     assert len(load_cameras(tmp_path / "transforms_test.json")) == 2
 
@@ -146,17 +127,8 @@ def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> N
     (write_colmap_text if end == ".txt" else write_colmap)(some_cameras(2), tmp_path / "sparse/0")
     (tmp_path / "sparse/0" / f"{gone}{end}").unlink()
     for folder in (tmp_path, tmp_path / "sparse/0"):
-        with pytest.raises(MissingFileError, match=f"sparse/0: has {has}{end} but not {gone}{end}"):
+        with refuses(MissingFileError):
             load_cameras(folder)
-
-
-def test_names_that_inrias_code_has_cut(tmp_path: Path) -> None:
-    write_inria_cameras(some_cameras(2), tmp_path / "cameras.json")
-    path = tmp_path / "cameras.json"
-    path.write_text(path.read_text().replace("view_01.png", "0000").replace("view_00.png", "0000"))
-    said = r"two cameras are named '0000'.*use the scene that the splat was trained on"
-    with pytest.raises(FileFormatError, match=said):
-        load_cameras(path)
 
 
 def test_cameras_are_found_by_names_of_any_form() -> None:
@@ -165,7 +137,7 @@ def test_cameras_are_found_by_names_of_any_form() -> None:
     assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
     for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
         assert cameras[name] is cameras[2]
-    with pytest.raises(UnknownNameError, match=r"nearest names: 'cam1/0\.png', 'cam2/0\.png'"):
+    with refuses(UnknownNameError):
         cameras["0"]
 
 
@@ -201,20 +173,6 @@ def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, cha
         torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize(("gone", "added", "said"), [
-    ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
-    ("f_dc_.", ("red",), "lacks f_dc_0"),
-    ("scale_0", (), "lacks scale_0"),
-    ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
-    ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
-])  # fmt: skip
-def test_what_no_splat_lacks(tmp_path: Path, gone: str, added: tuple[str, ...], said: str) -> None:
-    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
-    changed_columns(tmp_path / "a.ply", gone, **dict.fromkeys(added, np.zeros(5, np.uint8)))
-    with pytest.raises(FileFormatError, match=said):
-        load_gaussians(tmp_path / "a.ply")
-
-
 @pytest.mark.parametrize(
     "name", ["trbf_center", "trbf_scale_0", "motion_3", "t", "scale_3", "nu_degree", "beta"]
 )
@@ -223,5 +181,5 @@ def test_gaussians_that_are_not_plain(tmp_path: Path, name: str) -> None:
     changed_columns(tmp_path / "a.ply", "", semantic_0=np.zeros(5), label=np.zeros(5, np.int32))
     assert len(load_gaussians(tmp_path / "a.ply")) == 5
     changed_columns(tmp_path / "a.ply", "", **{name: np.zeros(5, np.float32)})
-    with pytest.warns(ScoupWarning, match=f"change with time or have another kernel \\({name}\\)"):
+    with warns(ScoupWarning):
         load_gaussians(tmp_path / "a.ply")

@@ -10,51 +10,17 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import some_gaussians
-from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from io_samples import tame
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
-from scoup.scene import Gaussians
 
 pytest.importorskip("gaussforge", reason="gaussforge is not installed")
 
 
-def wide(count: int, degree: int = 1) -> Gaussians:
-    """Gaussians that lie apart, so that each can be found again by its place."""
-    made = some_gaussians(count, degree, seed=3)
-    return Gaussians(made.means * 10, made.quats, made.scales, made.opacities, made.sh.clamp(-1, 1))
-
-
-def test_ksplat_keeps_order_and_shape_and_rounds_colours_to_bytes(tmp_path: Path) -> None:
-    given = wide(40)
-    save_gaussians(given, tmp_path / "a.ksplat")
-    found = load_gaussians(tmp_path / "a.ksplat")
-    assert found.means.equal(given.means)
-    assert torch.allclose(found.scales, given.scales, rtol=1e-5)
-    assert float((found.quats * given.quats).sum(1).abs().min()) > 0.999999
-    assert float((found.opacities - given.opacities).abs().max()) <= 1 / 255 + 1e-6
-    assert float((found.sh[:, 0] - given.sh[:, 0]).abs().max()) <= 1 / 255 / 0.28 + 1e-4
-    assert torch.allclose(found.sh[:, 1:], given.sh[:, 1:], atol=1e-5)
-
-
-def test_sog_gives_the_same_gaussians_in_another_order(tmp_path: Path) -> None:
-    given = wide(300)
-    save_gaussians(given, tmp_path / "a.sog")
-    found = load_gaussians(tmp_path / "a.sog")
-    assert len(found) == len(given)
-    nearest = torch.cdist(found.means, given.means).argmin(1)
-    assert sorted(nearest.tolist()) == list(range(300))
-    assert nearest.tolist() != list(range(300))
-    same = given.select(nearest)
-    assert float((found.means - same.means).abs().max()) < 0.01
-    assert float((found.quats * same.quats).sum(1).abs().min()) > 0.999
-    assert float((found.opacities - same.opacities).abs().max()) < 0.1
-    # The order is the same each time, so that a field built on the file fits it.
-    assert load_gaussians(tmp_path / "a.sog").fingerprint() == found.fingerprint()
-
-
 def test_an_unbundled_sog(tmp_path: Path) -> None:
-    save_gaussians(wide(300), tmp_path / "a.sog")
+    save_gaussians(tame(300, 1, 3, 10.0), tmp_path / "a.sog")
     folder = tmp_path / "sog"
     with zipfile.ZipFile(tmp_path / "a.sog") as archive:
         archive.extractall(folder)
@@ -63,11 +29,11 @@ def test_an_unbundled_sog(tmp_path: Path) -> None:
     content = (folder / "meta.json").read_text()
     for change, said in (("scales.webp", "../a.webp"), ("means", "other")):
         (folder / "meta.json").write_text(content.replace(change, said))
-        with pytest.raises(FileFormatError, match=r"not beside it|is not the meta\.json of a SOG"):
+        with refuses(FileFormatError):
             load_gaussians(folder / "meta.json")
     (folder / "meta.json").write_text(content)
     next(folder.glob("sh0*.webp")).unlink()
-    with pytest.raises(MissingFileError, match=r"sh0.*copy the whole folder of the SOG"):
+    with refuses(MissingFileError):
         load_gaussians(folder)
 
 
@@ -77,30 +43,30 @@ def test_a_converter_that_crashes_or_hangs_is_a_refusal(
     (tmp_path / "a.sog").write_bytes(b"x")
     crash = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
     monkeypatch.setattr(gaussforge_formats, "_PROGRAM", crash)
-    with pytest.raises(FileFormatError, match="cannot be read by gaussforge"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "a.sog")
-    with pytest.raises(ScoupError, match="cannot write"):
-        save_gaussians(wide(3), tmp_path / "b.sog")
+    with refuses(ScoupError):
+        save_gaussians(tame(3, 1, 3), tmp_path / "b.sog")
     assert not (tmp_path / "b.sog").exists()
     monkeypatch.setattr(gaussforge_formats, "_PROGRAM", "import time; time.sleep(60)")
     monkeypatch.setattr(gaussforge_formats, "_LEAST_SECONDS", 0.5)
-    with pytest.raises(FileFormatError, match="takes gaussforge more than"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "a.sog")
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.ksplat").write_bytes(b"x")
     monkeypatch.setitem(sys.modules, "gaussforge", None)
-    with pytest.raises(ScoupError, match=r"pip install 'scoup\[splats\]'"):
+    with refuses(ScoupError):
         load_gaussians(tmp_path / "a.ksplat")
-    with pytest.raises(ScoupError, match=r"pip install 'scoup\[splats\]'"):
-        save_gaussians(wide(3), tmp_path / "b.sog")
+    with refuses(ScoupError):
+        save_gaussians(tame(3, 1, 3), tmp_path / "b.sog")
 
 
 def test_harmonics_of_ksplat_stand_in_the_order_of_the_format(tmp_path: Path) -> None:
     """Degree 1 of red, green and blue, then degree 2 of each, as GaussianSplats3D has them; it knows no degree 3."""
-    made = wide(1, 3)
-    with pytest.warns(ScoupWarning, match="SH degree 3 was cut to 2"):
+    made = tame(1, 3, 3)
+    with warns(ScoupWarning):
         save_gaussians(made, tmp_path / "a.ksplat")
     row = np.frombuffer((tmp_path / "a.ksplat").read_bytes()[4096 + 1024 :], "<f4")[11 : 11 + 24]
     expected = [made.sh[0, first:end, channel] for first, end in ((1, 4), (4, 9)) for channel in range(3)]

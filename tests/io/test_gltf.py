@@ -1,7 +1,9 @@
+"""glTF: what is written by its rules, files as others write them, .spz inside, and its axes."""
+
 from __future__ import annotations
 
+import json
 import struct
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,71 +12,42 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from gltf_samples import SPLATS, check_rules, features_of, opened, packed
-from io_samples import same_gaussians, some_gaussians
-from scoup.base import InputError, ScoupWarning
+from gltf_samples import (
+    SPLATS,
+    check_rules,
+    columns_of,
+    features_of,
+    foreign,
+    opened,
+    packed,
+    read_in_its_axes,
+    spz_in_gltf,
+)
+from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
-from scoup.scene import Gaussians
+from scoup.io.splats.rotation import rotated_sh
+from scoup.io.splats.spz import read_spz
+from scoup.raster import view_colors
+from scoup.scene.cameras import Camera
 from support import examples
 
-NUMBERS = st.floats(-(2.0**99), 2.0**99, width=32)
 
-
-@settings(max_examples=examples(60), deadline=None)
-@given(data=st.data(), degree=st.integers(0, 3), suffix=st.sampled_from([".glb", ".gltf"]))
-def test_ugly_gaussians_survive_bit_by_bit(data, degree, suffix):
-    count = data.draw(st.integers(1, 5))
-
-    def draw(width: int, values: st.SearchStrategy[float]) -> np.ndarray:
-        size = count * width
-        drawn = data.draw(st.lists(values, min_size=size, max_size=size))
-        return np.array(drawn, np.float32).reshape(count, width)
-
-    quats = draw(4, st.floats(-1, 1, width=32)) + np.array([2, 0, 0, 0], np.float32)
-    quats = (quats / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)).astype(np.float32)
-    gaussians = Gaussians(
-        means=torch.from_numpy(draw(3, NUMBERS)),
-        quats=torch.from_numpy(quats),
-        scales=torch.from_numpy(draw(3, st.floats(0, 2.0**99, width=32))),
-        opacities=torch.from_numpy(draw(1, st.sampled_from([0.0, 1.0, 1e-30, 0.5]))[:, 0]),
-        sh=torch.from_numpy(draw(3 * (degree + 1) ** 2, NUMBERS).reshape(count, -1, 3)),
-    )
-    drawn = st.lists(st.integers(-1, 2), min_size=count, max_size=count)
-    ids = data.draw(st.none() | drawn)
+@settings(max_examples=examples(60))
+@given(st.integers(1, 5), st.sampled_from([".glb", ".gltf"]), st.data())
+def test_features_are_written_by_the_rules(tmp_path_factory, count, suffix, data) -> None:
+    path = tmp_path_factory.mktemp("features") / f"a{suffix}"
     names = ("chair", "Tür", "窓")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"a{suffix}"
-        features = None if ids is None else GaussianFeatures(torch.tensor(ids), names)
-        write_gltf(gaussians, path, features=features)
-        check_rules(path)
-        again = read_gltf(path)
-        for name in ("means", "quats", "scales", "opacities", "sh"):
-            one, other = getattr(gaussians, name), getattr(again, name)
-            assert torch.equal(one.view(torch.int32), other.view(torch.int32)), name
-        assert features_of(path) == (None if ids is None else (ids, names))
-
-
-def test_what_gltf_does_not_allow_is_mended(tmp_path):
-    gaussians = some_gaussians(4, 0)
-    quats = gaussians.quats * torch.tensor([1, 3, 1, 0])[:, None]
-    opacities = torch.tensor([0.5, 1.5, -0.5, torch.inf])
-    ugly = Gaussians(gaussians.means, quats, -gaussians.scales, opacities, gaussians.sh)
-    write_gltf(ugly, tmp_path / "a.glb")
-    check_rules(tmp_path / "a.glb")
-    again = read_gltf(tmp_path / "a.glb")
-    assert torch.equal(again.scales, gaussians.scales)
-    assert again.opacities.tolist() == [0.5, 1, 0, 1]
-    torch.testing.assert_close(again.quats[:3], gaussians.quats[:3], atol=1e-6, rtol=0)
-    assert again.quats[3].tolist() == [1, 0, 0, 0]
-
-
-def test_degree_4_is_cut_to_3(tmp_path):
-    gaussians = some_gaussians(3, 4)
-    with pytest.warns(ScoupWarning, match="up to degree 3"):
-        write_gltf(gaussians, tmp_path / "a.glb")
-    assert torch.equal(read_gltf(tmp_path / "a.glb").sh, gaussians.sh[:, :16])
+    ids = data.draw(st.none() | st.lists(st.integers(-1, 2), min_size=count, max_size=count))
+    features = None if ids is None else GaussianFeatures(torch.tensor(ids), names)
+    write_gltf(some_gaussians(count, 3), path, features=features)
+    check_rules(path)
+    assert features_of(path) == (None if ids is None else (ids, names))
 
 
 def test_the_fallback_is_linear_rgb_of_degree_0(tmp_path):
@@ -105,17 +78,6 @@ def test_ids_take_the_smallest_type_that_holds_them(tmp_path, count, code):
     assert features_of(tmp_path / "a.glb") == (ids.tolist(), names)
 
 
-def test_refused_outputs(tmp_path):
-    gaussians = some_gaussians(2, 0)
-    for refused, said in (
-        (gaussians.select([]), "no Gaussians to write"),
-        (replace(gaussians, means=gaussians.means * torch.nan), "not finite"),
-    ):
-        with pytest.raises(InputError, match=said):
-            write_gltf(refused, tmp_path / "a.glb")
-    assert not list(tmp_path.iterdir())
-
-
 def test_rows_that_are_not_finite_are_dropped(tmp_path):
     path = tmp_path / "a.glb"
     gaussians = some_gaussians(5, 0)
@@ -128,5 +90,140 @@ def test_rows_that_are_not_finite_are_dropped(tmp_path):
         width = size // 4
         damaged[start + row * size : start + (row + 1) * size] = struct.pack(f"<{width}f", *[value] * width)
     packed(path, root, bytes(damaged))
-    with pytest.warns(ScoupWarning, match="dropped 2 of 5 Gaussians"):
+    with warns(ScoupWarning):
         assert same_gaussians(read_gltf(path), gaussians.select(torch.tensor([0, 2, 3])))
+
+
+def test_interleaved_rows_and_several_primitives(tmp_path):
+    gaussians = some_gaussians(5, 1)
+    root, binary = foreign(columns_of(gaussians), stride=100)
+    assert same_gaussians(read_in_its_axes(packed(tmp_path / "a.glb", root, binary)), gaussians)
+    flat, flat_binary = foreign(columns_of(some_gaussians(3, 0, seed=1)))
+    for view in flat["bufferViews"]:
+        view["byteOffset"] += len(binary)
+    for accessor in flat["accessors"]:
+        accessor["bufferView"] += 1
+    other = flat["meshes"][0]["primitives"][0]
+    other["attributes"] = {key: value + len(root["accessors"]) for key, value in other["attributes"].items()}
+    root["meshes"][0]["primitives"] += [{"attributes": {}, "mode": 4}, other]
+    root["accessors"] += flat["accessors"]
+    root["bufferViews"] += flat["bufferViews"]
+    both = read_in_its_axes(packed(tmp_path / "b.glb", root, binary + flat_binary))
+    assert len(both) == 8
+    assert torch.equal(both.sh[:5], gaussians.sh)
+    assert not both.sh[5:, 1:].any()
+    assert torch.equal(both.sh[5:, :1], some_gaussians(3, 0, seed=1).sh)
+
+
+def test_integers(tmp_path):
+    generator = np.random.default_rng(0)
+    quats = generator.integers(-127, 128, (9, 4), dtype=np.int8)
+    quats[:, 3] = -128
+    columns = {
+        "POSITION": generator.integers(-(2**15), 2**15, (9, 3)).astype("<i2"),
+        f"{SPLATS}:ROTATION": quats,
+        f"{SPLATS}:SCALE": generator.integers(0, 2**16, (9, 3)).astype("<u2"),
+        f"{SPLATS}:OPACITY": generator.integers(0, 256, (9, 1), dtype=np.uint8),
+        f"{SPLATS}:SH_DEGREE_0_COEF_0": generator.normal(size=(9, 3)).astype("<f4"),
+    }
+    names = (f"{SPLATS}:ROTATION", f"{SPLATS}:SCALE", f"{SPLATS}:OPACITY")
+    root, binary = foreign(columns, normalised=names)
+    gaussians = read_in_its_axes(packed(tmp_path / "a.glb", root, binary))
+    assert torch.equal(gaussians.means, torch.from_numpy(columns["POSITION"].astype(np.float32)))
+    expected = np.maximum(quats[:, [3, 0, 1, 2]] / 127, -1)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(gaussians.quats, expected, atol=1e-6)
+    np.testing.assert_allclose(gaussians.scales, columns[names[1]] / 65_535, rtol=1e-6)
+    np.testing.assert_allclose(gaussians.opacities, columns[names[2]][:, 0] / 255, rtol=1e-6)
+    root, binary = foreign(columns, normalised=names[:2])
+    with refuses(FileFormatError):
+        read_in_its_axes(packed(tmp_path / "b.glb", root, binary))
+
+
+def test_translations_of_nodes_add_up(tmp_path: Path) -> None:
+    """An identity may be said; what other nodes do is of no concern."""
+    gaussians = some_gaussians(20, 3)
+    root, binary = foreign(columns_of(gaussians))
+    matrix = np.eye(4)
+    matrix[:3, 3] = 5, 0, -1
+    outer = {"children": [1, 2], "matrix": matrix.T.ravel().tolist()}
+    inner = {"mesh": 0, "translation": [1.0, -2.0, 3.0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}
+    root["nodes"] = [outer, inner, {"mesh": 1, "rotation": [1, 0, 0, 0]}]
+    root["meshes"].append({"primitives": [{"attributes": {}, "mode": 4}]})
+    moved = read_in_its_axes(packed(tmp_path / "a.glb", root, binary))
+    shift = torch.tensor([6.0, -2.0, 2.0], dtype=torch.float64)
+    assert same_gaussians(moved, replace(gaussians, means=(gaussians.means.double() + shift).float()))
+
+
+def test_scenes_and_nodes_without_a_scene(tmp_path: Path) -> None:
+    gaussians = some_gaussians(4, 0)
+    root, binary = foreign(columns_of(gaussians))
+    root["nodes"] = [{"children": [1]}, {"mesh": 0}, {"mesh": 0, "translation": [10, 0, 0]}]
+    root["scenes"] = [{"nodes": [0]}, {"nodes": [2]}]
+    assert same_gaussians(read_in_its_axes(packed(tmp_path / "a.glb", root, binary)), gaussians)
+    second = read_in_its_axes(packed(tmp_path / "a.glb", {**root, "scene": 1}, binary))
+    assert torch.equal(second.means, gaussians.means + torch.tensor([10.0, 0, 0]))
+    del root["scenes"], root["nodes"][2]
+    assert same_gaussians(read_in_its_axes(packed(tmp_path / "a.glb", root, binary)), gaussians)
+
+
+def test_files_beside_and_below(tmp_path):
+    gaussians = some_gaussians(4, 1)
+    root, binary = foreign(columns_of(gaussians))
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "a b.bin").write_bytes(binary)
+
+    def write(uri: str) -> Path:
+        buffers = [{"byteLength": len(binary), "uri": uri}]
+        (tmp_path / "a.gltf").write_text(json.dumps({**root, "buffers": buffers}))
+        return tmp_path / "a.gltf"
+
+    assert same_gaussians(read_in_its_axes(write("data/a%20b.bin")), gaussians)
+    for missing in (write("other.bin"), tmp_path / "none.glb"):
+        with refuses(MissingFileError):
+            read_in_its_axes(missing)
+
+
+def test_warnings_of_other_kinds_of_gaussians(tmp_path):
+    gaussians = some_gaussians(2, 0)
+    root, binary = foreign(columns_of(gaussians))
+    root["meshes"][0]["primitives"][0]["extensions"][SPLATS]["colorSpace"] = "lin_rec709_display"
+    with warns(ScoupWarning):
+        read_in_its_axes(packed(tmp_path / "a.glb", root, binary))
+
+
+TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, -1, 1]}
+
+
+@pytest.mark.parametrize("axis", TURNS)
+def test_a_half_turn_is_the_rotation(axis: Axis) -> None:
+    gaussians = some_gaussians(9, 3)
+    rotation = np.diag(TURNS[axis]).astype(np.float64)
+    found = turned(gaussians, axis)
+    np.testing.assert_array_equal(found.means, gaussians.means.numpy() @ rotation)
+    linear = torch.from_numpy(rotation)
+    torch.testing.assert_close(covariances(found), linear @ covariances(gaussians) @ linear)
+    np.testing.assert_allclose(found.sh, rotated_sh(gaussians.sh.numpy(), rotation), atol=1e-6)
+    assert same_gaussians(turned(found, axis), gaussians)
+
+
+def test_rotations_of_harmonics_form_a_group() -> None:
+    sh, rotation = some_gaussians(4, 3).sh.numpy(), Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, rotation), rotation.T), sh, atol=2e-6)
+
+
+@pytest.mark.parametrize("axis", TURNS)
+def test_colours_of_degree_4_turn_along(axis: Axis) -> None:
+    gaussians, camera = some_gaussians(9, 4), some_cameras(1)[0]
+    turn = torch.diag(torch.tensor([*TURNS[axis], 1.0], dtype=torch.float64))
+    along = Camera("a", camera.viewmat @ turn, camera.K, camera.width, camera.height)
+    colors = view_colors(turned(gaussians, axis), along)
+    torch.testing.assert_close(colors, view_colors(gaussians, camera), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ["", "_2"])
+@pytest.mark.parametrize("version", [2, 4])
+def test_spz_in_gltf_is_read(tmp_path: Path, name: str, version: int) -> None:
+    gaussians = some_gaussians(30, 3)
+    path = spz_in_gltf(tmp_path, gaussians, name, version)
+    assert same_gaussians(read_gltf(path), read_spz(tmp_path / "inner.spz"))

@@ -7,35 +7,24 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import some_cameras
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
+from io_samples import planes_of, save_npy, some_cameras, unit_rows
+from messages import refuses, warns
+from scoup.base.errors import (
+    FileFormatError,
+    MissingFileError,
+    ScoupWarning,
+    UnknownNameError,
+)
 from scoup.io import load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.langsplat_rows import level_blocks
 from scoup.scene import LEVELS, Cameras
 
 
-def write(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> None:
-    folder.mkdir(exist_ok=True)
-    np.save(folder / f"{stem}_s.npy", planes)
-    np.save(folder / f"{stem}_f.npy", rows)
-
-
-def unit_rows(count: int, dimensions: int = 4) -> np.ndarray:
-    rows = np.random.default_rng(count).normal(size=(count, dimensions)).astype(np.float32)
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
-def planes_of(*values: list[int], width: int = 32, height: int = 24) -> np.ndarray:
-    """Four planes that hold the given labels in turn."""
-    planes = [np.resize(np.array(item, np.float32), height * width).reshape(height, width) for item in values]
-    return np.stack(planes)
-
-
 def test_what_langsplat_writes(tmp_path):
     """Values are global row numbers; each level is offset by the sizes of those before."""
     rows = unit_rows(9)
-    write(tmp_path, "view_00", planes_of([-1, 0, 1], [2, 3, 4], [-1, 5, 6], [7, 8]), rows)
+    save_npy(tmp_path, "view_00", planes_of([-1, 0, 1], [2, 3, 4], [-1, 5, 6], [7, 8]), rows)
     regions = load_regions(tmp_path, some_cameras(1))
     for level, start, end in (("s", 2, 5), ("m", 5, 7), ("l", 7, 9)):
         item = regions.load("view_00.png", level)
@@ -56,44 +45,15 @@ def test_rows_without_pixels_belong_to_the_level_before():
     assert [(b.start, b.stop) for b in blocks.values()] == [(0, 2), (2, 3), (3, 6), (6, 6)]
 
 
-@pytest.mark.parametrize(("planes", "rows", "message"), [
-    (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but view_00_f.npy has 4 embeddings"),
-    (planes_of([0], [1], [2], [-2]), 4, "labels from -2"),
-    (planes_of([0], [1, 2], [2], [3]), 4, "'m' starts at row 2, inside the level before"),
-    (planes_of([0], [3], [2], [1]), 4, "starts at row 2"),
-    (planes_of([0], [1], [2], [3]) + 0.25, 4, "not whole numbers"),
-    (planes_of([0], [1], [2], [3]) * np.float32("nan"), 4, "not whole numbers"),
-    (planes_of([0], [1], [2], [3]) + np.float32("inf"), 4, "not whole numbers"),
-    (planes_of([0], [1], [2], [3])[:3], 4, r"shape \[3, 24, 32\], expected \[4, height, width\]"),
-    (planes_of([0], [1], [2], [3], width=30), 4, "of another shape than its image"),
-    (planes_of([0], [1], [2], [3])[:, :0], 4, "expected"),
-    (planes_of([0], [1], [2], [3])[0], 4, "expected"),
-])  # fmt: skip
-def test_labels_that_make_no_sense(tmp_path, planes, rows, message):
-    write(tmp_path, "view_00", planes, unit_rows(rows))
-    with pytest.raises(FileFormatError, match=message):
-        load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s")
-
-
-def test_embeddings_that_make_no_sense(tmp_path):
-    planes, cameras = planes_of([0], [1], [2], [3]), some_cameras(1)
-    rows = unit_rows(4)
-    rows[1, 0] = np.nan
-    write(tmp_path, "view_00", planes, rows)
-    with pytest.raises(FileFormatError, match="not finite"):
-        load_regions(tmp_path, cameras).load_embeddings("view_00.png", "s")
-    for wrong in (unit_rows(4)[0], unit_rows(4).astype(np.int32), np.zeros((4, 0), np.float32)):
-        write(tmp_path, "view_00", planes, wrong)
-        with pytest.raises(FileFormatError, match=r"view_00_f\.npy: has shape"):
-            load_regions(tmp_path, cameras)
-    np.save(tmp_path / "view_00_f.npy", np.array([{"a": 1}] * 4), allow_pickle=True)
+def test_embeddings_that_are_objects(tmp_path):
+    save_npy(tmp_path, "view_00", planes_of([0], [1], [2], [3]), np.array([{"a": 1}] * 4))
     with pytest.raises(FileFormatError, match="plain numbers"):
-        load_regions(tmp_path, cameras)
+        load_regions(tmp_path, some_cameras(1))
 
 
 def test_embeddings_are_scaled_to_unit_norm_and_zero_rows_stay(tmp_path):
     rows = unit_rows(4) * np.array([[1], [3], [0], [1e30]], dtype=np.float32)
-    write(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1]), rows)
+    save_npy(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1]), rows)
     regions = load_regions(tmp_path, some_cameras(1))
     for level, norms in (("s", [1.0, 0.0]), ("m", [1.0])):
         found = regions.load_embeddings("view_00.png", level).norm(dim=1)
@@ -106,7 +66,7 @@ def test_column_major_files_of_every_type(tmp_path, dtype):
     planes[0] = -1
     planes[2:][planes[2:] >= 0] += 3
     planes[3][planes[3] >= 0] += 3
-    write(tmp_path, "view_00", np.asfortranarray(planes.astype(dtype)), unit_rows(9).astype(np.float16))
+    save_npy(tmp_path, "view_00", np.asfortranarray(planes.astype(dtype)), unit_rows(9).astype(np.float16))
     labels = load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s").labels
     assert np.array_equal(labels, planes[1])
 
@@ -115,7 +75,7 @@ def test_column_major_files_of_every_type(tmp_path, dtype):
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05)])
 def test_labels_of_all_levels_are_those_of_each(tmp_path, dtype, distortion):
     planes = planes_of([-1, 0], [1, -1, 2, 3], [-1], [5, 7, -1])
-    write(tmp_path, "view_00", planes.astype(dtype), unit_rows(9))
+    save_npy(tmp_path, "view_00", planes.astype(dtype), unit_rows(9))
     camera = replace(some_cameras(1)[0], distortion=distortion)
     regions = load_regions(tmp_path, [camera])
     for width, height in ((camera.width, camera.height), (13, 7)):
@@ -130,7 +90,7 @@ def test_labels_of_all_levels_are_those_of_each(tmp_path, dtype, distortion):
 
 
 def test_labels_alone_do_not_read_embeddings(tmp_path):
-    write(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1, 4]), unit_rows(5))
+    save_npy(tmp_path, "view_00", planes_of([0], [1, 2], [3], [-1, 4]), unit_rows(5))
     regions = load_regions(tmp_path, some_cameras(1))
     regions.embeddings("s")
     (tmp_path / "view_00_f.npy").unlink()
@@ -141,23 +101,23 @@ def test_labels_alone_do_not_read_embeddings(tmp_path):
 
 def test_files_that_change_while_they_are_open(tmp_path):
     planes = planes_of([0], [1, 2], [3], [-1, 4])
-    write(tmp_path, "view_00", planes, unit_rows(5))
+    save_npy(tmp_path, "view_00", planes, unit_rows(5))
     regions = load_regions(tmp_path, some_cameras(1))
     regions.embeddings("s")
     for value in (0, 3, 1e9, -2, np.nan):
         planes[1, 5, 5] = value
-        write(tmp_path, "view_00", planes, unit_rows(5))
-        with pytest.raises(FileFormatError, match="has changed"):
+        save_npy(tmp_path, "view_00", planes, unit_rows(5))
+        with refuses(FileFormatError):
             regions.load_labels("view_00.png", 32, 24)
-    write(tmp_path, "view_00", planes, unit_rows(3))
-    with pytest.raises(FileFormatError, match="has changed"):
+    save_npy(tmp_path, "view_00", planes, unit_rows(3))
+    with refuses(FileFormatError):
         regions.load_embeddings("view_00.png", "m")
 
 
 def test_labels_follow_the_size_of_the_camera(tmp_path):
     labels = np.arange(12).reshape(3, 4).astype(np.float32)
     planes = np.stack([np.full((3, 4), -1, np.float32), labels, labels + 12, labels + 24])
-    write(tmp_path, "view_00", planes, unit_rows(36))
+    save_npy(tmp_path, "view_00", planes, unit_rows(36))
     camera = some_cameras(1, width=8, height=6)[0]
     large = load_regions(tmp_path, [camera]).load("view_00.png", "m").labels
     assert np.array_equal(large, labels.repeat(2, 0).repeat(2, 1))
@@ -173,33 +133,29 @@ def test_labels_follow_the_size_of_the_camera(tmp_path):
 
 def test_stems_are_cut_at_the_first_dot(tmp_path):
     camera = replace(some_cameras(1)[0], name="left/img.0001.tar.png")
-    write(tmp_path, "img", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    save_npy(tmp_path, "img", planes_of([-1], [0], [1], [2]), unit_rows(3))
     assert load_regions(tmp_path, [camera]).view_names == ("left/img.0001.tar.png",)
     other = replace(camera, name="img.0002.png")
-    with pytest.raises(InputError, match="share the feature name 'img'"):
+    with refuses():
         load_regions(tmp_path, Cameras([camera, other]))
 
 
 def test_missing_features(tmp_path):
     cameras = some_cameras(4)
-    with pytest.raises(MissingFileError, match=r"no such folder.*make them first"):
-        load_regions(tmp_path / "none", cameras)
-    with pytest.raises(
-        MissingFileError, match=r"none of the 4 cameras: expected view_00_s\.npy.*no \*_s\.npy"
-    ):
+    with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
-    write(tmp_path, "frame_00001", planes_of([-1], [0], [1], [2]), unit_rows(3))
-    with pytest.raises(MissingFileError, match=r"it has frame_00001_s\.npy"):
+    save_npy(tmp_path, "frame_00001", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
-    write(tmp_path, "view_02", planes_of([-1], [0], [1], [2]), unit_rows(3))
-    with pytest.warns(ScoupWarning, match="skipped 3 of 4 cameras"):
+    save_npy(tmp_path, "view_02", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    with warns(ScoupWarning):
         assert load_regions(tmp_path, cameras).view_names == ("view_02.png",)
-    with pytest.raises(InputError, match="no cameras"):
+    with refuses():
         load_regions(tmp_path, [])
 
 
 def test_features_of_two_models(tmp_path):
-    write(tmp_path, "view_00", planes_of([-1], [0], [1], [2]), unit_rows(3, 4))
-    write(tmp_path, "view_01", planes_of([-1], [0], [1], [2]), unit_rows(3, 5))
-    with pytest.raises(FileFormatError, match=r"has 5 dimensions, but view_00_f\.npy has 4"):
+    save_npy(tmp_path, "view_00", planes_of([-1], [0], [1], [2]), unit_rows(3, 4))
+    save_npy(tmp_path, "view_01", planes_of([-1], [0], [1], [2]), unit_rows(3, 5))
+    with refuses(FileFormatError):
         load_regions(tmp_path, some_cameras(2))

@@ -11,7 +11,8 @@ import torch
 
 from children import finished
 from io_samples import angles, camera_difference, same_gaussians
-from scoup.base import ScoupWarning
+from messages import warns
+from scoup.base.errors import ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -19,10 +20,11 @@ from scoup.io import (
     load_regions,
     read_ply_table,
     read_points,
+    read_tracks,
     save_gaussians,
     write_ply_table,
 )
-from scoup.io.cameras.inria import read_cfg_args
+from scoup_lab.evaluate.studies.matches import tracked_points
 
 pytestmark = pytest.mark.data
 
@@ -58,7 +60,7 @@ def test_real_files_survive_writing(data_folder, tmp_path, name):
 def test_real_splats_in_other_formats(data_folder, tmp_path, name, suffix):
     given = load_gaussians(data_folder / name)
     flat = suffix == ".spz" and name.startswith("guitar")
-    clipped = pytest.warns(ScoupWarning, match="4,998 of 90,854 Gaussians had scales outside")
+    clipped = warns(ScoupWarning)
     with clipped if flat else contextlib.nullcontext():
         save_gaussians(given, tmp_path / f"a{suffix}")
     found = load_gaussians(tmp_path / f"a{suffix}")
@@ -117,3 +119,17 @@ def test_kitchen_features(data_folder, tmp_path):
     source = np.load(data_folder / "kitchen" / "features" / "frame_00003.npz")["m"].astype(np.float32)
     torch.testing.assert_close(item.embeddings, torch.from_numpy(source), atol=2e-3, rtol=0)
     assert item.labels.shape == (720, 960)
+
+
+def test_desk_tracks(data_folder):
+    """Every point was seen in two images or more, and projects into them."""
+    folder = data_folder / "desk" / "sparse" / "0"
+    positions, tracks = read_tracks(folder)
+    assert len(positions) == 7562
+    np.testing.assert_array_equal(positions, read_points(folder)[0])
+    assert min(len(track) for track in tracks) >= 2
+    matches = tracked_points(folder, load_cameras(data_folder / "desk"))
+    assert matches is not None
+    assert matches.source == "COLMAP tracks"
+    seen = sum(len(point) for point in matches.points)
+    assert seen > 0.99 * sum(len(set(track)) for track in tracks)

@@ -18,7 +18,8 @@ from io_samples import (
     some_gaussians,
     write_inria_cameras,
 )
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,
@@ -84,7 +85,7 @@ def test_a_format_of_a_package(tmp_path, monkeypatch):
     cameras = some_cameras(2)
     own = CameraFormat("own", lambda path, _: cameras, lambda path: path.suffix == ".rig", ("own.rig",))
     monkeypatch.setitem(CAMERA_FORMATS._all, "own", own)
-    with pytest.raises(MissingFileError, match=r"sparse/0, cameras.json, transforms.json, .*, own.rig"):
+    with refuses(MissingFileError):
         find_cameras(tmp_path)
     (tmp_path / "own.rig").touch()
     save_images(cameras, tmp_path / "images")
@@ -107,7 +108,7 @@ def test_inria_names_get_their_extension_and_images_of_the_training_data(tmp_pat
     assert camera_difference(cameras, loaded) < 1e-12
     assert loaded[0].image_path == data / "images" / "view_00.png"
     (output / "cfg_args").write_text("damaged")
-    with pytest.warns(ScoupWarning, match="none of the 3 images was found"):
+    with warns(ScoupWarning):
         assert load_cameras(output).names == ("view_00", "view_01", "view_02")
 
 
@@ -129,21 +130,21 @@ def test_downscale(tmp_path):
         assert camera.image_path == scene / folder / "view_00.png"
         assert camera.K[0, 2] == pytest.approx(16.7 / factor)
         assert load_image(camera).shape == (24 // factor, 32 // factor, 3)
-    with pytest.raises(InputError, match="downscale is 3"):
+    with refuses():
         load_cameras(scene, downscale=3)  # pyright: ignore[reportArgumentType]
 
 
 def test_missing_images(tmp_path):
     scene = colmap_scene(tmp_path, count=4)
     (scene / "images" / "view_01.png").unlink()
-    with pytest.warns(ScoupWarning, match=r"skipped 1 of 4 cameras .*looked for .*images/view_01\.png\)"):
+    with warns(ScoupWarning):
         assert load_cameras(scene).names == ("view_00.png", "view_02.png", "view_03.png")
     kept = load_cameras(scene, missing_images="keep", downscale=2)
     assert len(kept) == 4
     assert kept[1].image_path is None
     assert kept[1].width == 16
     shutil.rmtree(scene / "images")
-    with pytest.warns(ScoupWarning, match="none of the 4 images was found"):
+    with warns(ScoupWarning):
         assert len(load_cameras(scene)) == 4
     assert len(load_cameras(scene, missing_images="keep")) == 4
 
@@ -155,54 +156,45 @@ def test_images_elsewhere(tmp_path):
     assert camera.image_path == tmp_path / "photos" / "view_00.png"
     save_images(some_cameras(3), scene / "frames")
     assert load_cameras(scene, images="frames")[0].image_path == scene / "frames" / "view_00.png"
-    with pytest.raises(MissingFileError, match="no such folder of images"):
+    with refuses(MissingFileError):
         load_cameras(scene, images=tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFileError, match="has none of the 3 images"):
+    with refuses(MissingFileError):
         load_cameras(scene, images=tmp_path / "empty")
 
 
 def test_images_of_another_shape_or_damaged(tmp_path):
     scene = colmap_scene(tmp_path)
-    of_pixel = (
-        "is a single pixel, but its camera has 32 x 24: a placeholder.*remove the folder to use the cameras"
-    )
-    of_shape = r"is 24 x 32 pixels, another shape than its camera \(32 x 24\)"
-    for width, height, said in ((24, 32, of_shape), (1, 1, of_pixel)):
+    for width, height in ((24, 32), (1, 1)):
         save_images(some_cameras(1, width, height), scene / "images")
-        with pytest.raises(FileFormatError, match=said):
+        with refuses(FileFormatError):
             load_cameras(scene)
     save_images(some_cameras(2, 24, 32), scene / "images")
     save_images(some_cameras(1, 1, 1), scene / "images")
     for read in (load_cameras, camera_photographs, find_photographs):
-        with pytest.raises(FileFormatError, match=rf"view_00.png: is a single .*view_01.png {of_shape}; use"):
+        with refuses(FileFormatError):
             read(scene)
     save_images(some_cameras(), scene / "images")
     (scene / "images" / "view_00.png").write_bytes(b"no image")
-    said = "1 of 3 photographs cannot be read, their cameras are {}: .*view_00.png: is not an image"
-    with pytest.warns(ScoupWarning, match=said.format("skipped")):
+    with warns(ScoupWarning):
         assert load_cameras(scene).names == ("view_01.png", "view_02.png")
-    with pytest.warns(ScoupWarning, match=said.format("used without")):
+    with warns(ScoupWarning):
         assert load_cameras(scene, missing_images="keep")[0].image_path is None
     for number in (1, 2):
         (scene / "images" / f"view_0{number}.png").write_bytes(b"no image")
-    with pytest.warns(
-        ScoupWarning, match="3 of 3 photographs cannot be read, their cameras are used without"
-    ):
+    with warns(ScoupWarning):
         assert len(load_cameras(scene)) == 3
 
 
 def test_no_cameras(tmp_path):
-    with pytest.raises(MissingFileError, match="no such file or folder"):
-        load_cameras(tmp_path / "none")
-    with pytest.raises(MissingFileError, match="contains no cameras"):
+    with refuses(MissingFileError):
         load_cameras(tmp_path)
     (tmp_path / "a.ply").write_text("ply")
-    with pytest.raises(FileFormatError, match="not a known kind of camera file"):
+    with refuses(FileFormatError):
         load_cameras(tmp_path / "a.ply")
-    with pytest.raises(InputError, match="distorted is"):
+    with refuses():
         load_cameras(tmp_path, distorted="ignore")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="missing_images is"):
+    with refuses():
         load_cameras(tmp_path, missing_images="drop")  # pyright: ignore[reportArgumentType]
 
 
@@ -213,7 +205,7 @@ def test_gaussians_of_every_kind(tmp_path):
     assert same_gaussians(load_gaussians(tmp_path), gaussians)
     save_gaussians(gaussians, tmp_path / "b.splat")
     assert len(load_gaussians(tmp_path / "b.splat")) == 5
-    with pytest.raises(MissingFileError, match=r"contains 2 splats \(a\.ply, b\.splat\)"):
+    with refuses(MissingFileError):
         load_gaussians(tmp_path)
     save_checkpoint(gaussians, tmp_path / "ckpts" / "ckpt_1_rank0.pt")
     for path in (tmp_path, tmp_path / "ckpts", tmp_path / "ckpts" / "ckpt_1_rank0.pt"):
@@ -232,7 +224,7 @@ def test_far_from_the_origin_is_refused_and_5_km_are_not(tmp_path):
             table = table.with_column(axis, table.rows[axis].astype(np.float64) + value)
         write_ply_table(table, tmp_path / name)
     assert len(load_gaussians(tmp_path / "near.ply")) == 50
-    with pytest.raises(FileFormatError, match=r"utm\.ply: is too far .* of 4,649,776 are exact to 0\.5"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "utm.ply")
 
 
@@ -251,13 +243,11 @@ def test_configurations_say_antialiased(tmp_path, config, said):
 
 
 def test_no_gaussians(tmp_path):
-    with pytest.raises(MissingFileError, match="no such file or folder"):
-        load_gaussians(tmp_path / "none.ply")
-    with pytest.raises(MissingFileError, match="contains no trained splat"):
+    with refuses(MissingFileError):
         load_gaussians(tmp_path)
     (tmp_path / "a.txt").write_bytes(b"x")
-    with pytest.raises(FileFormatError, match="not a kind of splat"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "a.txt")
     save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
-    with pytest.raises(FileFormatError, match="contains no Gaussians"):
+    with refuses(FileFormatError):
         load_gaussians(tmp_path / "empty.ply")

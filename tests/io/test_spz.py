@@ -11,71 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from splat_damages import AXES
+from splat_damages import spz as packed
 
-from io_samples import angles, same_gaussians, save_spz, some_gaussians
-from scoup.base import FileFormatError, InputError, ScoupWarning
+from io_samples import angles, same_gaussians, save_spz, some_gaussians, tame
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.io import load_gaussians, write_ply
-from scoup.io.splats.spz import MOST_BITS, read_spz, write_spz
+from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
-from scoup.scene import Gaussians, rotation_matrices, sh_basis
-from support import examples, unit
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.harmonics import sh_basis
+from scoup.scene.rotations import rotation_matrices
+from support import unit
 
 # Steps of the stored values, halved, with a little for float32.
-SCALE = 0.5 / 16 + 1e-5  # of the logarithm
-OPACITY = 0.5 / 255 + 1e-6
-COLOR = 0.5 / 255 / 0.15 + 1e-5
-SH = (4 / 128 + 1 / 256 + 1e-6, 8 / 128 + 1 / 256 + 1e-6)  # degree 1, higher degrees
-DEGREES = {1: 13.0, 2: 13.0}  # of a rotation in three bytes, by version; four hold more
-
-
-def tame(count: int, degree: int, seed: int, largest: float = 4.0) -> Gaussians:
-    """Gaussians within the ranges of the format."""
-    made = some_gaussians(count, degree, seed)
-    sh = made.sh.clamp(-3, 3)
-    sh[:, 1:] = sh[:, 1:].clamp(-0.9, 0.9)
-    means = made.means / made.means.abs().max().clamp(min=1e-3) * largest
-    return Gaussians(means, made.quats, made.scales.clamp(5e-5, 300), made.opacities, sh)
-
-
-def check_rounding(given: Gaussians, found: Gaussians, version: int) -> None:
-    assert len(found) == len(given)
-    largest = float(given.means.abs().max())
-    bits = MOST_BITS
-    while largest * 2**bits > 2**23 - 1:
-        bits -= 1
-    step = float(given.means.abs().max()) * 2**-11 if version == 1 else 0.5 * 2.0**-bits
-    assert float((found.means - given.means).abs().max()) <= step + 1e-6 * largest
-    assert float((found.scales.log() - given.scales.log()).abs().max()) <= SCALE
-    assert float((found.opacities - given.opacities).abs().max()) <= OPACITY
-    assert float((found.sh[:, 0] - given.sh[:, 0]).abs().max()) <= COLOR
-    assert float(angles(found.quats, given.quats).max()) <= DEGREES.get(version, 0.2)
-    for first, last, bound in ((1, 4, SH[0]), (4, 25, SH[1])):
-        if given.sh.shape[1] > first:
-            difference = (found.sh[:, first:last] - given.sh[:, first:last]).abs()
-            assert float(difference.max()) <= bound
-
-
-@settings(max_examples=examples(40))
-@given(
-    st.integers(1, 30),
-    st.integers(0, 3),
-    st.sampled_from([1, 2, 3, 4]),
-    st.sampled_from([0.5, 127.0, 60000.0]),
-    st.integers(0, 2**31),
-)
-def test_round_trips_round_as_stated(tmp_path_factory, count, degree, version, largest, seed) -> None:
-    path = tmp_path_factory.mktemp("spz") / "a.spz"
-    given = tame(count, degree, seed, largest)
-    save_spz(given, path, version)
-    found = read_spz(path)
-    check_rounding(given, found, version)
-    write_spz(found, path, overwrite=True)
-    again = read_spz(path)
-    assert float((again.means - found.means).abs().max()) <= (1e-6 if version > 1 else 1e-4) * largest
-    assert again.opacities.equal(found.opacities)
-    assert torch.allclose(again.sh, found.sh, atol=1e-6)
 
 
 def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
@@ -151,22 +101,14 @@ def test_ugly_values_are_mended(tmp_path: Path) -> None:
     ugly = some_gaussians(4, 0)
     scales = torch.tensor([[0.0, 1e-30, 1.0], [1e30, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     opacities = torch.tensor([0.0, 1.0, torch.inf, -0.5])
-    with pytest.warns(ScoupWarning, match=r"2 of 4 Gaussians had scales outside of 4\.5e-05 to 379, "):
+    with warns(ScoupWarning):
         write_spz(replace(ugly, scales=scales, opacities=opacities), tmp_path / "a.spz")
     found = read_spz(tmp_path / "a.spz")
     assert found.opacities.tolist() == [0.0, 1.0, 1.0, 0.0]
     assert found.scales[0, 0] == pytest.approx(np.exp(-10), rel=1e-4)
     assert found.scales[1, 0] == pytest.approx(np.exp(255 / 16 - 10), rel=1e-4)
-    cases = [(name, torch.nan, "not finite") for name in ("means", "opacities", "quats")]
-    for name, value, said in (
-        *cases,
-        ("sh", torch.inf, "not finite"),
-        ("means", 1e9, "cannot store coordinates"),
-    ):
-        spoiled = getattr(ugly, name).clone()
-        spoiled.view(-1)[0] = value
-        with pytest.raises(InputError, match=said):
-            write_spz(replace(ugly, **{name: spoiled}), tmp_path / "b.spz")
+    with refuses():  # beyond the 24 bits of the format
+        write_spz(replace(ugly, means=torch.full((4, 3), 1e9)), tmp_path / "b.spz")
     assert not (tmp_path / "b.spz").exists()
 
 
@@ -174,24 +116,15 @@ def test_degree_4_is_for_version_4(tmp_path: Path) -> None:
     import zstandard
 
     given = tame(5, 4, 3)
-    with pytest.warns(ScoupWarning, match="cut to 3"):
-        write_spz(given, tmp_path / "a.spz")
-    assert read_spz(tmp_path / "a.spz").sh_degree == 3
     write_spz(given, tmp_path / "a.spz", True, 4)
     found = read_spz(tmp_path / "a.spz")
-    check_rounding(given, found, 4)
-    content = (
-        tmp_path / "a.spz"
-    ).read_bytes()  # the last of six streams, which are as long as their table says
+    content = (tmp_path / "a.spz").read_bytes()  # streams are as long as their table says; of six the last
     (size,) = struct.unpack_from("<Q", content, 32 + 5 * 16)
     stored = np.frombuffer(zstandard.decompress(content[-size:]), np.uint8).reshape(5, 24, 3)[:, 15:]
     signs = np.array([1 if sign == "+" else -1 for sign in "-+-++-+--"])[:, None]
     np.testing.assert_array_equal(found.sh[:, 16:], ((stored / 128.0 - 1) * signs).astype(np.float32))
-    with pytest.raises(InputError, match="version 2 is not written; versions: 3, 4"):
+    with refuses():
         write_spz(given, tmp_path / "a.spz", True, 2)
-
-
-AXES = struct.pack("<II", 0xADBE0003, 4)
 
 
 def extended(path: Path, record: bytes) -> Path:
@@ -241,53 +174,26 @@ def test_extensions_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
     write_spz(tame(5, 0, 3), tmp_path / "a.spz")
     read_spz(extended(tmp_path / "a.spz", struct.pack("<II3f", 0xADBE0002, 12, 0, 1, 1)))  # of viewers only
     extended(tmp_path / "a.spz", struct.pack("<II", 0x12340001, 3) + b"abc")
-    with pytest.warns(ScoupWarning, match=r"extension 0x12340001 \(3 bytes\) is unknown"):
+    with warns(ScoupWarning):
         read_spz(tmp_path / "a.spz")
 
 
-def packed(version: int, count: int, degree: int, flags: int = 0, body: bytes = b"") -> bytes:
-    return gzip.compress(
-        struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, 12, flags, 0) + body, mtime=0
-    )
-
-
-def streams(table: int, rest: int = 0) -> bytes:
-    """Version 4: one Gaussian, five streams, and a table of them at a place."""
-    return struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, table) + bytes(rest)
-
-
-DAMAGED = {
-    "nothing": (b"", "not a .spz file"),
-    "zip": (b"PK\x03\x04", "not a .spz file"),
-    "short": (gzip.compress(b"abc"), "cut short within its header"),
-    "other": (gzip.compress(b"these are not the bytes you are looking for"), "not of Gaussians"),
-    "version 9": (packed(9, 1, 0, body=bytes(20)), "version 9"),
-    "degree 7": (packed(3, 1, 7, body=bytes(20)), "cannot be"),
-    "two": (packed(3, 2, 0, body=bytes(20)), "does not contain the 2 Gaussians"),
-    "a byte more": (packed(3, 1, 0, body=bytes(21)), "does not contain the 1 Gaussians"),
-    "four billion": (packed(3, 2**32 - 1, 3), "more than"),
-    "short extension": (packed(3, 1, 0, 2, bytes(23)), "extension that is cut short"),
-    "axes 17": (packed(3, 1, 0, 2, bytes(20) + AXES + b"\x11\0\0\0"), "axes of the unknown kind 17"),
-    "cut gzip": (packed(3, 1, 0, body=bytes(20))[:-9], "does not contain|cannot be unpacked"),
-    "no table": (streams(32), "no whole table"),
-    "table within": (streams(8, 90), "no whole table"),
-    "no positions": (streams(32, 90), "positions of 0 bytes"),
-    "no streams": (struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 5), "cut short, or its header"),
-}
-
-
-@pytest.mark.parametrize(("content", "said"), DAMAGED.values(), ids=DAMAGED)
-def test_damaged_files_are_named(tmp_path: Path, content: bytes, said: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(packed(3, 2**32 - 1, 3), "4,294,967,295 Gaussians, more than"),
+     (packed(3, 1, 0, body=bytes(20))[:-9], "does not contain|cannot be unpacked")],
+)  # fmt: skip
+def test_gzip_of_any_library(tmp_path: Path, content: bytes, said: str) -> None:
+    """How long it is, and what is left of a part of it, depends on the library."""
     (tmp_path / "a.spz").write_bytes(content)
-    with pytest.raises(FileFormatError, match=said) as error:
+    with pytest.raises(FileFormatError, match=said):
         load_gaussians(tmp_path / "a.spz")
-    assert "\n" not in str(error.value)
 
 
 def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
     import zstandard
 
-    with pytest.raises(FileFormatError, match="does not unpack to its 4 bytes"):
+    with refuses(FileFormatError):
         _unpacked(tmp_path / "a.spz", zstandard.ZstdCompressor().compress(b"abc"), 4)
 
 

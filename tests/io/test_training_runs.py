@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from foreign_samples import save_results, save_run, save_splatfacto, some_similarity
+from foreign_samples import save_results, save_run, some_similarity
 from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
-from scoup.base import FileFormatError, MissingFileError
+from messages import refuses
+from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -41,27 +42,10 @@ def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
     return Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
 
 
-@pytest.mark.parametrize("older", [False, True])
-@pytest.mark.parametrize("degree", [0, 3])
-def test_splats_of_nerfstudio_are_read(tmp_path: Path, degree: int, older: bool) -> None:
-    given = some_gaussians(9, degree)
-    given.sh.clamp_(-1, 1)
-    run = tmp_path / "outputs/kitchen/splatfacto/2026-01-01_000000"
-    save_run(run, "data/kitchen")
-    save_splatfacto(some_gaussians(4, degree), run / "nerfstudio_models/step-000009999.ckpt", older)
-    save_splatfacto(given, run / "nerfstudio_models/step-000029999.ckpt", older)
-    for path in (run, run / "nerfstudio_models/step-000029999.ckpt"):
-        found = load_gaussians(path)
-        assert found.means.equal(given.means)
-        for name in ("quats", "scales", "opacities", "sh"):
-            assert torch.allclose(getattr(found, name), getattr(given, name), rtol=1e-5, atol=2e-6), name
-        assert splat_source(path).preset == "gsplat"
-
-
 def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
     save_run(run, "data")
-    with pytest.raises(MissingFileError, match="0 exported splats"):
+    with refuses(MissingFileError):
         load_gaussians(run)
     (run / "exports" / "splat").mkdir(parents=True)
     save_gaussians(some_gaussians(5), run / "exports" / "splat" / "splat.ply")
@@ -70,7 +54,7 @@ def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -
     (run / "nerfstudio_models").mkdir()
     other = {"pipeline": {"_model.field.mlp": torch.zeros(3)}}
     torch.save(other, run / "nerfstudio_models/step-000000001.ckpt")
-    with pytest.raises(FileFormatError, match="another method of nerfstudio"):
+    with refuses(FileFormatError):
         load_gaussians(run)
 
 
@@ -105,18 +89,17 @@ def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: b
 def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
     run = tmp_path / "run"
     save_run(run, "/nowhere/my-kitchen")
-    said = r"trained on /nowhere/my-kitchen, which .*`dataparser_transforms="
-    with pytest.raises(MissingFileError, match=said):
+    with refuses(MissingFileError):
         load_cameras(run)
     (run / "config.yml").write_text("method_name: splatfacto\n")
-    with pytest.raises(MissingFileError, match="does not name the folder"):
+    with refuses(MissingFileError):
         load_cameras(run)
     write_colmap(some_cameras(2), tmp_path / "my-kitchen/sparse/0")
     save_run(run, "/nowhere/my-kitchen", "colmap_dataparser.ColmapDataParserConfig")
     assert len(load_cameras(run, missing_images="keep")) == 2
     (run / "nerfstudio_models").mkdir()
     (run / "dataparser_transforms.json").unlink()
-    with pytest.raises(MissingFileError, match=r"dataparser_transforms.json: is not there.*copy it"):
+    with refuses(MissingFileError):
         load_cameras(run)
 
 
@@ -202,16 +185,16 @@ def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> N
     results = tmp_path / "results"
     save_results(results, tmp_path / "nowhere")
     (results / "ply").mkdir()
-    with pytest.raises(MissingFileError, match=r"no ply/point_cloud_<step>\.ply"):
+    with refuses(MissingFileError):
         load_gaussians(results)
     for step, count in ((6999, 3), (29999, 5)):
         save_gaussians(some_gaussians(count), results / f"ply/point_cloud_{step}.ply")
     assert len(load_gaussians(results)) == 5
     assert splat_source(results).preset == "gsplat"
-    with pytest.raises(MissingFileError, match="which is not on this machine"):
+    with refuses(MissingFileError):
         load_cameras(results)
     (results / "cfg.yml").write_text("result_dir: results\n")
-    with pytest.raises(MissingFileError, match=r"does not name the folder .*data_dir"):
+    with refuses(MissingFileError):
         load_cameras(results)
 
 
@@ -220,22 +203,8 @@ def test_a_world_without_points_is_refused(tmp_path: Path) -> None:
     write_colmap(some_cameras(3), tmp_path / "garden/sparse/0", points)
     save_results(tmp_path / "results", tmp_path / "garden")
     (tmp_path / "results/ckpts").mkdir()
-    with pytest.raises(FileFormatError, match="too few to normalise"):
+    with refuses(FileFormatError):
         load_cameras(tmp_path / "results", missing_images="keep")
-
-
-def test_checkpoints_of_other_contents_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "step-000000009.ckpt"
-    save_splatfacto(some_gaussians(9, 0), path)
-    content = torch.load(path, weights_only=True)
-    content["pipeline"]["_model.gauss_params.scales"] = torch.zeros(8, 3)
-    for changed, said in (
-        (content, r"scales is .* \[8, 3\], expected floats \[9, 3\]"),
-        ({"step": 1}, "has no entry 'pipeline'"),
-    ):
-        torch.save(changed, path)
-        with pytest.raises(FileFormatError, match=said):
-            load_gaussians(path)
 
 
 def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
@@ -244,12 +213,9 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
     save_run(run, str(tmp_path / "data/transforms.json"))
     assert len(load_cameras(run, missing_images="keep")) == 3
     kind = "data: !!python/object/apply:pathlib.PosixPath\n"
-    for text, said in (
-        (kind + "other: 1\n", "does not name the folder"),
-        (kind + "- /\n- nowhere", "nowhere"),
-    ):
+    for text in (kind + "other: 1\n", kind + "- /\n- nowhere"):
         (run / "config.yml").write_text(text)
-        with pytest.raises(MissingFileError, match=said):
+        with refuses(MissingFileError):
             load_cameras(run)
 
 

@@ -14,7 +14,8 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base import InputError, ScoupError, WriteError
+from messages import refuses
+from scoup.base.errors import ScoupError, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned
@@ -41,10 +42,16 @@ def attribute(prim: Any, name: str) -> np.ndarray:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("degree", [0, 3])
 def test_values_keep_their_bits_in_a_stage_with_y_up(tmp_path: Path, suffix: str, degree: int) -> None:
-    given = some_gaussians(40, degree)
-    save_gaussians(given, tmp_path / f"a{suffix}")
-    prim = read(tmp_path / f"a{suffix}")
+    given, path = (
+        some_gaussians(40, degree),
+        tmp_path / ("a" * (255 - len(suffix)) + suffix),
+    )  # the longest name
+    save_gaussians(given, path)
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+    prim = read(path)
     stage = prim.GetStage()
+    checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    assert [error.GetMessage() for error in checks.Validate(stage)] == []
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert prim.IsA(UsdVol.ParticleField3DGaussianSplat)
@@ -62,13 +69,6 @@ def test_values_keep_their_bits_in_a_stage_with_y_up(tmp_path: Path, suffix: str
     assert (high > attribute(prim, "positions").max(0)).all()
     save_gaussians(given, tmp_path / f"b{suffix}", keep_axes=True)
     np.testing.assert_array_equal(attribute(read(tmp_path / f"b{suffix}"), "positions"), given.means.numpy())
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_validators_of_openusd_find_nothing(tmp_path: Path, suffix: str) -> None:
-    save_gaussians(some_gaussians(20, 2), tmp_path / f"a{suffix}")
-    checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
-    assert [error.GetMessage() for error in checks.Validate(read(tmp_path / f"a{suffix}").GetStage())] == []
 
 
 def test_a_package_begins_at_byte_64_and_has_no_time_of_day(tmp_path: Path) -> None:
@@ -89,20 +89,6 @@ def test_what_the_format_has_no_place_for(tmp_path: Path) -> None:
     assert attribute(prim, "opacities").tolist() == [1.0, 0.0, 0.5, 1.0, 0.25]
     lengths = [q.GetLength() for q in prim.GetAttribute("orientations").Get()]
     np.testing.assert_allclose(lengths, 1, atol=1e-6)
-    for refused, said in (
-        (given.select([]), "there are no Gaussians to write"),
-        (replace(given, means=given.means * torch.nan), "not finite"),
-    ):
-        with pytest.raises(InputError, match=said):
-            save_gaussians(refused, tmp_path / "b.usdc")
-    assert not (tmp_path / "b.usdc").exists()
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_longest_name(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / ("a" * (255 - len(suffix)) + suffix)
-    save_gaussians(some_gaussians(5), path)
-    assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
 def test_a_refusal_of_the_system_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,12 +100,12 @@ def test_a_refusal_of_the_system_is_one_sentence(tmp_path: Path, monkeypatch: py
         return Stage()
 
     monkeypatch.setattr(usd, "_stage", refuse)
-    with pytest.raises(WriteError, match=r"a\.usda: cannot be written \(usd-core cannot write it\)"):
+    with refuses(WriteError):
         save_gaussians(some_gaussians(5), tmp_path / "a.usda")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(ScoupError, match=r"pip install 'scoup\[usd\]'"):
+    with refuses(ScoupError):
         save_gaussians(some_gaussians(5), tmp_path / "a.usda")
