@@ -116,7 +116,8 @@ def run_json(*arguments: object) -> dict[str, Any]:
 
 def snapshot(folder: Path) -> dict[str, bytes]:
     """Contents of every file below a folder."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def refused(*arguments: object, folder: Path | None = None) -> str:
