@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, QUICK, printed, refused, run, run_json
+from cli_support import BUILD, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.language_field import LanguageField
@@ -82,13 +82,12 @@ def test_splats_become_others(suffix):
     assert run_json("info", f"a{suffix}")["kind"] == "splat"
 
 
-def test_a_field_is_built_on_a_splat_of_another_format():
-    run_json("convert", "scene", "scene.spz")
-    options = ("--gaussians", "scene.spz", "--model", "scene/words.npz", "--out", "b.scoup")
-    run_json("build", "scene", *QUICK, *options)
-    chosen = run_json("select", "b.scoup", "kettle", "--out", "kettle.glb", "--always")
-    assert len(load_gaussians("kettle.glb")) == chosen["written"] > 0
-    assert run_json("label", "b.scoup", "kettle", "mug", "--out", "labels")["gaussians"] == 150
+def test_langsplats_files_become_compact():
+    record = run_json("convert", "scene", "compact", "--bits", "32", "--model", "my/model")
+    assert record["bytes_after"] < record["bytes_before"]
+    info = run_json("info", "compact")
+    assert (info["kind"], info["views"], info["embedding_model"]) == ("region features", 4, "my/model")
+    assert run_json("convert", "compact", "half")["bytes_after"] < record["bytes_after"]
 
 
 def test_openusd_is_written_and_not_read():
