@@ -20,7 +20,7 @@ import torch
 
 import scoup.io as scoup_io
 from children import finished
-from cli_support import FREE, QUICK, plain_photographs, run, snapshot
+from cli_support import FREE, QUICK, RUN, plain_photographs, run, snapshot
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import WriteError
 from scoup.base.staging import staged
@@ -190,12 +190,27 @@ def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 @pytest.mark.usefixtures("here")
 def test_standard_output_that_is_full() -> None:
-    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "info", "f.scoup"]
     with open("/dev/full", "w") as full:
-        done = finished(command, stdout=full)
+        done = finished([sys.executable, "-c", RUN, "info", "f.scoup"], stdout=full)
     assert done.returncode == 2
     assert done.stderr.startswith("error: standard output: cannot be written (No space left on device)")
     assert len(done.stderr.splitlines()) == 1
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (16, 16))
+from scoup.cli.app import entry
+entry()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.usefixtures("here")
+def test_sixteen_open_files_are_enough() -> None:
+    command = [sys.executable, "-c", LIMITED, "build", "scene", *QUICK, "--model", "scene/words.npz"]
+    done = finished(command)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 # ---- the library
