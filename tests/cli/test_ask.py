@@ -1,4 +1,4 @@
-"""scoup query, select, label, catalog and render: what is special of each."""
+"""scoup query, select, label, catalog, render and compare: what is special of each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ import torch
 from PIL import Image
 
 from cli_support import QUICK, WORDS, add_words, printed, refused, run, run_json
+from query.planted_room import planted_room
+from query.test_named import names_of, with_names
 from scoup.io import load_gaussians, read_ply_table, write_colmap, write_ply_table
 from scoup.models.word_table import load_table, save_table
+from scoup.query.edits import Edit, edited
 from scoup.query.language_field import LanguageField
 from scoup.query.select import Reshaping
 from scoup.raster import render_colors
@@ -362,27 +366,27 @@ def test_a_shape_that_leaves_nothing_is_named():
     )
 
 
-def test_recoloured_and_faded_scenes_differ_where_they_should():
+@pytest.mark.parametrize(("edit", "options"), [
+    ("recolor", {"color": (0.0, 1.0, 0.0)}), ("fade", {}), ("fade", {"opacity": 0.5}),
+])  # fmt: skip
+def test_scenes_are_recoloured_and_faded(edit: Edit, options: dict[str, Any]) -> None:
+    given = {"color": "#00ff00"} if "color" in options else options
+    more = [part for name, value in given.items() for part in (f"--{name}", value)]
+    assert run_json("select", "f.scoup", "kettle", "--edit", edit, *more, "--out", "a.ply")["written"] == 150
+    field = LanguageField.load("f.scoup")
+    wanted, found = (
+        edited(field.gaussians, field.select("kettle").mask, edit, **options),
+        load_gaussians("a.ply"),
+    )
+    assert torch.allclose(found.sh, wanted.sh, atol=1e-6)
+    assert torch.allclose(found.opacities, wanted.opacities, atol=1e-6)
     chosen = set(rows_of("kettle"))
-    before = read_ply_table("scene/point_cloud.ply").rows
-    found = np.array([row.tobytes() in chosen for row in before])
-    colours = [name for name in before.dtype.names or () if name.startswith("f_")]
-    for edit, changed in (("recolor", colours), ("fade", ["opacity"])):
-        select = ("select", "f.scoup", "kettle", "--edit", edit, "--color", "#00ff00")
-        record = run_json(*select, "--out", f"{edit}.ply")
-        assert record["written"] == 150
-        after = read_ply_table(f"{edit}.ply").rows
-        for name in before.dtype.names or ():
-            different = before[name] != after[name]
-            assert not different[~found].any(), name
-            assert different[found].any() == (name in changed), name
-    recolored = read_ply_table("recolor.ply").rows
-    rgb = 0.5 + 0.28209479 * np.stack([recolored[f"f_dc_{c}"][found] for c in range(3)], 1)
-    assert (rgb[:, 1] > rgb[:, 0] + 0.2).all()
-    assert (rgb[:, 1] > rgb[:, 2] + 0.2).all()
-    paths = ("scene/point_cloud.ply", "fade.ply")
-    opacities = [load_gaussians(path).opacities.numpy()[found] for path in paths]
-    assert opacities[1] == pytest.approx(opacities[0] * 0.15, rel=1e-4)
+    touched = ("f_dc", "f_rest") if edit == "recolor" else "opacity"
+    before, after = read_ply_table("scene/point_cloud.ply").rows, read_ply_table("a.ply").rows
+    for old, new in zip(before, after, strict=True):
+        changed = [name for name in before.dtype.names or () if old[name] != new[name]]
+        assert all(name.startswith(touched) for name in changed)
+        assert bool(changed) == (old.tobytes() in chosen)
 
 
 def test_a_picture_shows_before_and_after():
@@ -549,3 +553,64 @@ def test_an_animation(name, plain):
         picture.seek(1)
         picture.load()
         assert picture.info["duration"] == pytest.approx(1000 / 12, abs=4)
+
+
+# ---- compare
+
+
+LAMP = 4  # of planted_room.ROOM
+
+
+@pytest.fixture
+def captures(here: Path) -> None:
+    """old.scoup, new.scoup without the lamp, and words.npz."""
+    room = planted_room()
+    assert room.thing_table is not None
+    encoder = room.encoder
+    save_table(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
+    room.save("old.scoup")
+    room[~room.thing_table.members(torch.tensor([LAMP]))].save("new.scoup")
+
+
+@pytest.mark.usefixtures("captures")
+def test_an_object_that_is_gone() -> None:
+    Path("t.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    words = ("--text", "words.npz", "--transform", "t.txt")
+    out = printed("compare", "old.scoup", "new.scoup", *words)
+    record = json.loads(Path("new_changes/compare.json").read_text())
+    (change,) = record["changes"]
+    assert (change["kind"], change["old"]["text"], change["new"]) == ("removed", "lamp", None)
+    page = Path("new_changes/index.html").read_text()
+    pictures = sorted(path.name for path in Path("new_changes/pictures").iterdir())
+    assert pictures == ["0000_new.jpg", "0000_old.jpg"]
+    assert all(f'src="pictures/{name}"' in page for name in pictures)
+    assert f"removed, confidence {change['confidence']:.2f}: lamp" in out
+    other = run_json("compare", "new.scoup", "old.scoup", *words, "--out", "back")
+    assert [one["kind"] for one in other["changes"]] == ["added"]
+
+
+@pytest.mark.usefixtures("captures")
+def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    room = with_names(planted_room(), names_of({"lantern": {LAMP: 0.6}}))
+    room.save("named.scoup")
+    encoder = room.encoder
+    names = list(encoder.names or ())
+    vectors = encoder.encode([*names, "lamp"]).numpy()
+    save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
+    Path("lamp.txt").write_text("lamp\n")
+    monkeypatch.setattr(
+        "scoup.query.thing_names.thing_names", lambda _, question: seen.append(question.near) or {}
+    )
+    run("compare", "old.scoup", "named.scoup", "--text", "lantern.npz", "--words", "lamp.txt")
+    assert seen == [(), ("lantern",)]
+
+
+@pytest.mark.usefixtures("captures")
+def test_a_splat_that_has_moved_is_named_by_the_option_of_its_capture() -> None:
+    moved = planted_room()
+    moved.geometry_path = Path("gone.ply")
+    moved.save("moved.scoup")
+    for captures, option in (("old", "moved"), "--new-gaussians"), (("moved", "old"), "--gaussians"):
+        said = refused("compare", *(f"{name}.scoup" for name in captures))
+        assert f"say where it is now with {option}" in said

@@ -1,4 +1,4 @@
-"""scoup convert: region features, and what other systems leave."""
+"""scoup convert and words: region features, what other systems leave, and words of a model."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ import torch
 from cli_support import BUILD, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import load_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.language_field import LanguageField
+from tiny_models import save_text_clip
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -96,3 +100,27 @@ def test_openusd_is_written_and_not_read():
     stage = usd.Stage.Open("kettle.usdz")
     assert len(stage.GetDefaultPrim().GetAttribute("positions").Get()) == chosen["written"] > 0
     assert run_json("convert", "scene/point_cloud.ply", "a.usd")["gaussians"] == 150
+
+
+# ---- words
+
+
+def test_a_table_answers_as_its_model():
+    """A tiny random one."""
+    save_text_clip(Path("clip"))
+    Path("list.txt").write_text("red apple\n\nobject\nchair\nred apple\n")
+    said = run_json("words", "--model", "clip", "--words", "list.txt")
+    names = (*CANONICAL_PHRASES, "red apple", "chair", *(word for word in EVERYDAY_WORDS if word != "chair"))
+    assert said == {"out": "words.npz", "names": len(names), "dim": 12, "embedding_model": "clip"}
+    assert load_table("words.npz").names == names
+    table, model = TextEncoder.open("words.npz"), TextEncoder.open("clip")
+    asked = ["red apple", "chair", "the lamps"]
+    assert (table.encode(asked) * model.encode(["red apple", "chair", "lamp"])).sum(1).min() > 1 - 1e-6
+    assert (table.canonical() * model.canonical()).sum(1).min() > 1 - 1e-6
+    assert table.everyday().shape[0] >= len(EVERYDAY_WORDS)
+    out = printed("words", "--model", "clip", "--out", "w.npz")
+    assert "scoup build SCENE --model w.npz" in out
+
+
+def test_a_model_that_is_nowhere():
+    assert "text model 'nobody/none' cannot be loaded" in refused("words", "--model", "nobody/none")
