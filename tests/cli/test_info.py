@@ -15,18 +15,11 @@ from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
-from scoup.io import (
-    load_cameras,
-    load_gaussians,
-    save_gaussians,
-    write_colmap,
-    write_transforms,
-)
+from scoup.io import load_cameras, load_gaussians, save_gaussians, write_colmap, write_transforms
 from scoup.io.splats.ply import read_ply_table, write_ply_table
 from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
-
 
 SPLAT = {"kind": "splat", "gaussians": 150, "sh_degree": 0}
 CAMERAS = {"cameras": 4, "first": "view_00.png"}
@@ -191,12 +184,13 @@ def test_a_photograph_that_is_a_named_pipe_is_skipped() -> None:
 
 
 def outside_transforms(path: str) -> None:
-    write_transforms(load_cameras("scene"), "scene/transforms.json")
-    content = json.loads(Path("scene/transforms.json").read_text())
-    for frame, name in zip(content["frames"], (path, *(["images/view_01.png"] * 3)), strict=False):
-        frame["file_path"] = name
-    content["frames"] = content["frames"][:2]
-    Path("scene/transforms.json").write_text(json.dumps(content))
+    """Two cameras, one of them with an image at this path."""
+    file = Path("scene/transforms.json")
+    write_transforms(load_cameras("scene"), file)
+    content = json.loads(file.read_text())
+    first, second, *_ = content["frames"]
+    frames = [{**first, "file_path": path}, {**second, "file_path": "images/view_01.png"}]
+    file.write_text(json.dumps({**content, "frames": frames}))
 
 
 @pytest.mark.parametrize(
