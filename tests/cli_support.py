@@ -31,12 +31,6 @@ QUICK = ("--n-atoms", "8")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 """Options of an extraction without models."""
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
-ASK = {
-    "query": ("query", "f.scoup", "kettle", "--out", "answers"),
-    "select": ("select", "f.scoup", "kettle", "--out", "a.ply"),
-    "render": ("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--out", "answers"),
-}
-"""Arguments of verbs that ask a field."""
 RUN = "from scoup.cli.app import entry; entry()"
 """The command line as a program."""
 

@@ -1,6 +1,6 @@
 """What each verb writes, prints and answers machines, as a user runs it.
 
-What is printed is in tests/messages.json. What is special of a verb, test_verb_*.py check.
+What is printed is in tests/messages.json. What is special of a verb, the other files here check.
 """
 
 from __future__ import annotations
