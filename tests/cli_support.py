@@ -30,12 +30,6 @@ QUICK = ("--n-atoms", "8")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 """Options of an extraction without models."""
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
-ASK = {
-    "query": ("query", "f.scoup", "kettle", "--out", "answers"),
-    "select": ("select", "f.scoup", "kettle", "--out", "a.ply"),
-    "render": ("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--out", "answers"),
-}
-"""Arguments of verbs that ask a field."""
 RUN = "from scoup.cli.app import entry; entry()"
 """The command line as a program."""
 
@@ -115,7 +109,8 @@ def run_json(*arguments: object) -> dict[str, Any]:
 
 def snapshot(folder: Path) -> dict[str, bytes]:
     """Contents of every file below a folder."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def refused(*arguments: object, folder: Path | None = None) -> str:

@@ -62,24 +62,11 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS}
     types = {**LISTS, **of_tiles, **entries, **SIZE, **BOUNDS, "n_combinations": "i32", "scale": "fp32"}
     found["region sums"] = regions.region_sums_kernel, types, constants, gpu_regions.WARPS
-    types = {
-        "starts": I64,
-        "n_columns": I32,
-        **entries,
-        "entries_end": I64,
-        "keys_out": I32,
-        "weights_out": I64,
-    }
+    ends = {"entries_end": I64, "keys_out": I32, "weights_out": I64}
+    types = {"starts": I64, "n_columns": I32, **entries, **ends}
     found["gather"] = regions.gather_kernel, types, {"BLOCK": 256}, 4
-    types = {
-        "keys": I32,
-        "totals": I64,
-        "gaussians": I32,
-        "combinations": I32,
-        "weights": F32,
-        "count": "i32",
-    }
-    types |= {"n_combinations": "i32", "scale": "fp32"}
+    types = {"keys": I32, "totals": I64, "gaussians": I32, "combinations": I32, "weights": F32}
+    types |= {"count": "i32", "n_combinations": "i32", "scale": "fp32"}
     found["unpack"] = regions.unpack_kernel, types, {"BLOCK": 256}, 4
     types = {
         "starts": I64, "combinations": I32, "shares": F32, "rows": I32, "atoms": I32, "weights": F32,
@@ -94,15 +81,8 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     types = {name: SCENE[name] for name in ("means", "scales", "opacities", "camera")}
     found["sieve"] = projection.sieve_kernel, {**types, "keep": I8, "count": "i32"}, {"BLOCK": 128}, 4
     visible = {"geometry": DOUBLE, "centres": DOUBLE, "rects": I32, "across": "i32", "down": "i32"}
-    types = {
-        **SCENE,
-        **visible,
-        "shapes": F32,
-        "ids": I64,
-        "depths": DOUBLE,
-        "counts": I32,
-        "n_visible": "i32",
-    }
+    seen = {"shapes": F32, "ids": I64, "depths": DOUBLE, "counts": I32, "n_visible": "i32"}
+    types = {**SCENE, **visible, **seen}
     found["project"] = projection.project_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
     lists = {"tiles": I16, "slots": I32, "n_candidates": "i32"}
     types = {**visible, **lists, "camera": DOUBLE, "ranks": I64, "order": I64, "firsts": I64}

@@ -31,23 +31,17 @@ def nobody_reads(name: str) -> Iterator[None]:
             setattr(sys, name, before)
 
 
-def test_text_that_nobody_reads() -> None:
+@pytest.mark.parametrize("more", [(), ("--json",)])
+def test_results_that_nobody_reads(more: tuple[str, ...]) -> None:
     with nobody_reads("stdout"):
-        assert main([str(part) for part in BUILD]) == 0
-    assert run("info", "a.scoup")[0] == 0
-
-
-def test_json_that_nobody_reads() -> None:
-    with nobody_reads("stdout"):
-        assert main([str(part) for part in (*BUILD, "--json")]) == 0
+        assert main([*BUILD, *more]) == 0
     assert run("info", "a.scoup")[0] == 0
 
 
 def test_warnings_that_nobody_reads_end_nothing() -> None:
-    (Path("scene") / "images" / "view_00.png").unlink()
+    Path("scene/images/view_00.png").unlink()
     with nobody_reads("stderr"):
-        code = main([str(part) for part in BUILD])
-    assert code == 0
+        assert main(list(BUILD)) == 0
     assert Path("a.scoup").is_file()
 
 

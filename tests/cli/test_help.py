@@ -1,14 +1,16 @@
-"""The help of every verb: options in groups, texts that fit the terminal and are whole."""
+"""The help of every verb: options in groups, texts that fit the terminal and are whole; and what it imports."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import re
+import sys
 from collections.abc import Iterator
 
 import pytest
 
+from children import finished
 from cli_support import printed
 from scoup.cli.app import SCOUP
 from scoup.cli.family import Family
@@ -60,9 +62,8 @@ def test_every_option_is_explained_and_shown_once_in_its_group(verb):
     assert [name for kind, name in fields_of(ALL[verb]) if not field_texts(kind).get(name)] == []
     shown = boxes(text)
     options = [option for group in shown.values() for option in group]
-    assert (
-        len(options) == len(set(options)) == len(re.findall(r"^  (?:-h, )?--[a-z]", text, re.MULTILINE)) - 1
-    )
+    every = re.findall(r"^  (?:-h, )?--[a-z]", text, re.MULTILINE)
+    assert len(options) == len(set(options)) == len(every) - 1  # the help itself is in no group
     assert list(shown)[-1] == "common options"
 
 
@@ -76,3 +77,21 @@ def test_a_list_of_verbs_names_each():
     assert re.findall(r"^ +• (\S+)", help_of("eval"), flags=re.MULTILINE) == [
         verb[1] for verb in ALL if verb[0] == "eval"
     ]
+
+
+# torch takes a second to start, scipy half of one
+HEAVY = ("torch", "scipy", "PIL", "transformers", "triton", "jinja2")
+IMPORTED = f"""
+import sys
+from scoup.cli.app import run
+for command in sys.argv[1:]:
+    assert run(command.split()) == 0
+    print(command, [name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+
+
+@pytest.mark.usefixtures("here")
+def test_help_and_the_facts_of_a_field_need_nothing_heavy() -> None:
+    commands = ("--help", "--version", "info --help", "info f.scoup")
+    done = finished([sys.executable, "-c", IMPORTED, *commands], check=True)
+    assert done.stderr.splitlines() == [f"{command} []" for command in commands]

@@ -20,8 +20,10 @@ import torch
 
 import scoup.io as scoup_io
 from children import finished
-from cli_support import FREE, QUICK, plain_photographs, run, snapshot
-from scoup.base import WriteError, atomic_file, staged
+from cli_support import QUICK, RUN, plain_photographs, run, snapshot
+from scoup.base.atomic import atomic_file
+from scoup.base.errors import WriteError
+from scoup.base.staging import staged
 from scoup.io import load_gaussians, save_gaussians
 from scoup.models import save_table
 from scoup.raster import ViewSums
@@ -31,25 +33,24 @@ from support import small_scene
 
 resource = pytest.importorskip("resource")
 
-SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
-VERBS = {
-    "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
-    "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.sums"),
-    "build, part": ("build", "scene", "--keep-sums", "a.sums", "--part", "1/2"),
-    "build, more views": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "few.sums", "--codebook",
-                          "f.scoup"),
-    "transfer": ("transfer", "f.scoup", "edited.ply", "--out", "a.scoup"),
-    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "24", "--height", "18", "--out", "own"),
-    "extract": ("extract", "scene", *FREE, "--out", "regions"),
-    "convert": ("convert", "scene", "compact"),
-    "query": ("query", "f.scoup", "kettle", "--out", "answers", "--camera", "all"),
-    "select": ("select", "f.scoup", "kettle", "--always", "--out", "a.ply"),
-    "render": ("render", "f.scoup", "--out", "pictures", "--camera", "all"),
-    "animation": ("render", "f.scoup", "--out", "a.gif", "--camera", "all"),
-    "regions": ("extract", "scene", "--show", "view_00"),
-    "demo": ("demo", *SMALL, "--out", "demo"),
-    "synthetic": ("eval", "synthetic", "lerf-ovs", "data", *SMALL, "--scenes", "1", "--labelled", "1"),
-}  # fmt: skip
+SIZE = "--n-gaussians 2000 --width 48 --height 36 --views 2"
+VERBS = {name: tuple(command.split()) for name, command in {
+    "build": "build scene --n-atoms 8 --out new/a.scoup",
+    "build from sums": "build scene --n-atoms 8 --out a.scoup --sums kept.sums",
+    "build, part": "build scene --keep-sums a.sums --part 1/2",
+    "build, more views": "build scene --n-atoms 8 --out a.scoup --keep-sums few.sums --codebook f.scoup",
+    "transfer": "transfer f.scoup edited.ply --out a.scoup",
+    "views": "views scene/point_cloud.ply --views 2 --width 24 --height 18 --out own",
+    "extract": "extract scene --segmenter felzenszwalb --embedder colors --out regions",
+    "convert": "convert scene compact",
+    "query": "query f.scoup kettle --out answers --camera all",
+    "select": "select f.scoup kettle --always --out a.ply",
+    "render": "render f.scoup --out pictures --camera all",
+    "animation": "render f.scoup --out a.gif --camera all",
+    "regions": "extract scene --show view_00",
+    "demo": f"demo {SIZE} --out demo",
+    "synthetic": f"eval synthetic lerf-ovs data {SIZE} --scenes 1 --labelled 1",
+}.items()}  # fmt: skip
 # Of these, what is complete stays for the same command to continue.
 RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "regions.json")
 
@@ -183,12 +184,26 @@ def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 @pytest.mark.usefixtures("here")
 def test_standard_output_that_is_full() -> None:
-    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "info", "f.scoup"]
     with open("/dev/full", "w") as full:
-        done = finished(command, stdout=full)
+        done = finished([sys.executable, "-c", RUN, "info", "f.scoup"], stdout=full)
     assert done.returncode == 2
     assert done.stderr.startswith("error: standard output: cannot be written (No space left on device)")
     assert len(done.stderr.splitlines()) == 1
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (16, 16))
+from scoup.cli.app import entry
+entry()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.usefixtures("here")
+def test_sixteen_open_files_are_enough() -> None:
+    done = finished([sys.executable, "-c", LIMITED, "build", "scene", *QUICK, "--model", "scene/words.npz"])
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 # ---- the library

@@ -1,22 +1,123 @@
-"""scoup mcp: every line gets an answer, over HTTP several clients do."""
+"""scoup view and mcp: pages that are written or served, agents that are answered; several clients at once."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import importlib.util
 import json
 import signal
 import socket
 import sys
-from subprocess import PIPE
+import threading
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from subprocess import PIPE, Popen
 from typing import Any
 
 import pytest
 
 from children import child
-from cli_support import RUN, refused, run
+from cli_support import RUN, printed, refused, run, run_json
+from scoup.view import export, page, viewer
+from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 
-pytest.importorskip("mcp", reason="needs scoup[mcp]")
+PAGE = PageFiles(f"<head>{STYLE}{SETTINGS}</head>{PROGRAM}", b"", "", "")
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
+
+
+# ---- view
+
+
+@pytest.fixture
+def built_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (export, page, viewer):
+        monkeypatch.setattr(module, "page_files", lambda: PAGE)
+
+
+@pytest.mark.usefixtures("built_page")
+def test_export_prints_sizes() -> None:
+    out = printed("view", "f.scoup", "--export", "page.html")
+    assert out.startswith("page.html: 0.")
+    assert out.rstrip().endswith("3 words")
+    record = run_json("view", "f.scoup", "--export", "page.html", "--overwrite")
+    assert record["bytes"] == Path("page.html").stat().st_size
+    folder = run_json("view", "f.scoup", "--export", "pages", "--split")
+    assert folder["bytes"] == sum(path.stat().st_size for path in Path("pages").iterdir())
+    Path("words.txt").write_text("mug\n")
+    assert run_json("view", "f.scoup", "--export", "own.html", "--words", "words.txt")["words"] == 1
+
+
+def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    built = page.page_files
+    monkeypatch.setattr(page, "page_files", lambda: built(tmp_path))
+    assert "tools/build_viewer.py" in refused("view", "f.scoup")
+
+
+SERVE = f"""
+from scoup.view import page, viewer
+page.page_files = viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
+from scoup.cli.app import entry
+entry()
+"""
+SLOW = """
+import sys, time
+from scoup.view.viewed_field import ViewedField
+def answers(*_):
+    print("asked", flush=True)
+    time.sleep(4)  # longer than the server waits for answers
+ViewedField.answers = answers
+"""
+ASKED = json.dumps({"texts": ["kettle"]}).encode()
+
+
+@contextmanager
+def served(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
+    """A server in a process of its own, which runs some Python before, and a query to it."""
+    command = [sys.executable, "-c", before + SERVE, "view", "f.scoup", "--port", "0", "--json"]
+    with child(command) as process:
+        assert process.stdout is not None
+        lines = []
+        while not lines or lines[-1] != "}\n":
+            lines.append(process.stdout.readline())
+            assert lines[-1], process.stderr and process.stderr.read()
+        yield process, urllib.request.Request(f"{json.loads(''.join(lines))['address']}api/query", ASKED)
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_a_viewer_serves_until_it_is_stopped(stop: signal.Signals, code: int) -> None:
+    with served() as (process, query):
+        with urllib.request.urlopen(query) as answer:
+            assert json.load(answer)["answers"][0]["text"] == "kettle"
+        process.send_signal(stop)
+        _, err = process.communicate()
+    assert (process.returncode, err) == (code, "")
+
+
+def test_a_viewer_stops_quietly_while_requests_wait() -> None:
+    def ask(query: urllib.request.Request) -> None:
+        with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
+            urllib.request.urlopen(query)
+
+    with served(SLOW) as (process, query):
+        visitors = [threading.Thread(target=ask, args=(query,)) for _ in range(3)]
+        for visitor in visitors:
+            visitor.start()
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asked\n"
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate()
+        for visitor in visitors:
+            visitor.join()
+    assert (process.returncode, err) == (143, "")
+
+
+# ---- mcp
+
+
+needs_mcp = pytest.mark.skipif(importlib.util.find_spec("mcp") is None, reason="needs scoup[mcp]")
 FIND = '{"name": "find", "arguments": {"scene": "f", "text": TEXT}}'
 CALL = '{"jsonrpc": "2.0", "id": ID, "method": "tools/call", "params": ' + FIND + "}"
 START = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}}
@@ -41,6 +142,7 @@ REFUSED = {
 }
 
 
+@needs_mcp
 def test_every_line_is_answered_with_its_id_or_null() -> None:
     lines = [FIRST, SECOND, "", *(line for line, *_ in REFUSED.values()), call(5, '"kettle"')]
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE, text=False) as server:
@@ -63,6 +165,7 @@ def test_every_line_is_answered_with_its_id_or_null() -> None:
     }
 
 
+@needs_mcp
 def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     import httpx2
     from mcp import Client
@@ -104,11 +207,13 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     assert "Traceback" not in said  # refused names of the host are logged
 
 
+@needs_mcp
 def test_ports_that_cannot_be_served_are_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert "in use" in refused("mcp", "f.scoup", "--http", taken.getsockname()[1])
 
 
+@needs_mcp
 def test_a_token_that_nobody_sees_is_refused() -> None:
     code, _, err = run("mcp", "f.scoup", "--http", "0", "--quiet")
     assert code == 2

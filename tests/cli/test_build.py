@@ -1,39 +1,50 @@
-"""scoup build."""
+"""scoup build and transfer: what is special of them, and what they say of splats and cameras that do not fit."""
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, snapshot, together
-from scoup.extract import lacks_views
+from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, snapshot, together, write_scene
+from messages import check_message
+from scoup.base.registry import Registry
+from scoup.extract.pipeline import lacks_views
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
-from scoup.models import load_table, save_table
-from scoup.query import LanguageField
-from scoup.scene import Cameras
+from scoup.io.splats import formats
+from scoup.io.splats.ply import FORMAT, read_ply
+from scoup.io.splats.splat_format import SplatFormat
+from scoup.models.word_table import load_table, save_table
+from scoup.query.language_field import LanguageField
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift import build_settings
+from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")
 
 
-def test_the_main_path_says_what_it_did():
-    out = printed("build", "scene", *QUICK, "--model", "scene/words.npz")
-    assert "150 Gaussians, 4 views with regions of 4 cameras" in out
-    assert "level m: 24 regions, mean cosine" in out
-    assert "of 150 Gaussians coded" in out
-    # 3 levels of 4 atoms, each with an index of 1 byte and a weight of 2, and a thing of 2; 3 codebooks of 8 atoms of
-    # 16 numbers.
-    assert "MB (36 bytes of codes and 6 of things a Gaussian, a codebook of 2 kB)" in out
-    field = LanguageField.load("scene.scoup")  # the default name
+def test_the_default_field():
+    """3 levels of 4 atoms, each with an index of 1 byte and a weight of 2; 3 codebooks of 8 atoms of 16 numbers."""
+    record = run_json("build", "scene", *QUICK, "--model", "scene/words.npz", "--embed-geometry")
+    assert record["bytes"] == Path("scene.scoup").stat().st_size
+    assert 0 < record["coded"] <= 150
+    assert set(record["coding"]) == {"s", "m", "l"}
+    field = LanguageField.load("scene.scoup")
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
     assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
     assert field.info.provenance["settings"]["k"] == 4
     assert field.cameras is not None
     assert field.cameras.names[0] == "view_00.png"
     assert len(field.gaussians) == 150
+    info = run_json("info", "scene.scoup")
+    assert (info["bytes_of_codes_a_gaussian"], info["bytes_of_codebook"]) == (3 * 4 * 3, 3 * 8 * 16 * 4)
 
 
 def test_the_usual_model_is_taken_for_embeddings_of_its_size():
@@ -43,24 +54,16 @@ def test_the_usual_model_is_taken_for_embeddings_of_its_size():
     assert LanguageField.load("scene.scoup").info.embedding_model == "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 
 
-def test_the_record_for_machines():
-    record = run_json(*BUILD, "--model", "scene/words.npz")
-    assert record["field"] == "a.scoup"
-    assert record["bytes"] == Path("a.scoup").stat().st_size
-    assert (record["gaussians"], record["views"]) == (150, 4)
-    assert 0 < record["coded"] <= 150
-    assert set(record["coding"]) == {"s", "m", "l"}
-    assert "warnings" not in record
-
-
-def test_settings_reach_the_field():
+def test_settings_reach_the_field(monkeypatch: pytest.MonkeyPatch):
+    paper = replace(build_settings.BUILD_PRESETS["paper"], epochs=2)
+    monkeypatch.setitem(build_settings.BUILD_PRESETS, "paper", paper)  # all 4000 take a minute
     settings = "--k 2 --raster-preset gsplat --preset paper"
     files = "--gaussians scene/point_cloud.ply --features scene/language_features --images scene/images --scale 0.5"
     run_json(*BUILD, *settings.split(), *files.split())
     field = LanguageField.load("a.scoup")
     settings = field.info.provenance["settings"]
     assert settings["raster_preset"] == field.info.raster_preset == "gsplat"
-    expected = {"k": 2, "keep": 4, "rounds": 1, "solver": "adam", "n_atoms": 8, "scale": 0.5}
+    expected = {"k": 2, "keep": 4, "rounds": 1, "solver": "adam", "epochs": 2, "n_atoms": 8, "scale": 0.5}
     assert {name: settings[name] for name in expected} == expected
     assert field.code_indices.shape == (150, 3, 4)
 
@@ -70,9 +73,8 @@ def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
     Path("a.sums/file").write_bytes(b"precious")
     record = run_json(*BUILD, "--keep-sums", "a.sums", "--k", "3")
     assert record["sums"] == "a.sums"
-    assert record["sums_bytes"] == sum(path.stat().st_size for path in Path("a.sums").iterdir()) - len(
-        "precious"
-    )
+    sizes = [path.stat().st_size for path in Path("a.sums").iterdir()]
+    assert record["sums_bytes"] == sum(sizes) - len("precious")
     info = run_json("info", "a.sums")
     assert (info["kind"], info["views"], info["bytes"]) == ("region sums", 4, record["sums_bytes"])
     before = snapshot(Path("a.sums"))
@@ -148,16 +150,6 @@ def test_a_table_leaves_the_model_that_its_features_or_it_names():
     assert "its vectors come from a/model, the field's embeddings from the/maker" in err
 
 
-def test_bytes_of_codes_and_codebook():
-    assert run(*BUILD, "--embed-geometry")[0] == 0
-    record = run_json("info", "a.scoup")
-    assert record["bytes_of_codes_a_gaussian"] == 3 * 4 * 3
-    assert record["bytes_of_codebook"] == 3 * 8 * 16 * 4
-
-
-# ---- one-pixel views
-
-
 def test_cameras_of_one_pixel():
     pytest.importorskip("skimage")
     write_colmap(
@@ -173,9 +165,6 @@ def test_cameras_of_one_pixel():
     extract = ("extract", "scene", *FREE, "--out", "r")
     assert run_json(*extract)["regions"] == 12
     assert run("build", "scene", *QUICK, "--features", "r", "--out", "b.scoup")[0] == 0
-
-
-# ---- photographs without regions
 
 
 def test_regions_are_made_and_resumed():
@@ -197,9 +186,6 @@ def test_regions_are_made_and_resumed():
     assert (said["extraction"]["made"], said["extraction"]["kept"], said["views"]) == (1, 3, 4)
 
 
-# ---- absurd Gaussians
-
-
 def test_absurd_gaussians_are_counted():
     gaussians = load_gaussians("scene/point_cloud.ply")
     gaussians.scales[:3] = 1e34
@@ -207,3 +193,78 @@ def test_absurd_gaussians_are_counted():
     said = "3 of 150 Gaussians are over 100 times larger than the scene; export or train"
     assert said in run_json("info", "odd.ply")["warnings"][0]
     assert said in run("build", "scene", *QUICK, "--gaussians", "odd.ply", "--out", "a.scoup")[2]
+
+
+# ---- splats and cameras that do not fit
+
+
+def test_a_scene_that_fits_is_silent():
+    fit = run_json("info", "scene")["fit"]
+    assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
+    assert fit["similarity"] > 0.9
+
+
+def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
+    read: list[Path] = []
+
+    def counted_read(path: Path) -> Gaussians:
+        read.append(path)
+        return read_ply(path)
+
+    table = [replace(FORMAT, read=counted_read)]
+    monkeypatch.setattr(formats, "FORMATS", Registry("splat format", "none", SplatFormat, table))
+    assert "fit" in run_json("info", "scene")
+    assert read == [Path("scene/point_cloud.ply")]
+
+
+def test_the_splat_of_another_scene_is_refused_before_the_work():
+    write_scene(Path("elsewhere"), seed=9)
+    check_message(re.sub(r"-?0\.\d+", "#", refused(*BUILD, "--gaussians", "elsewhere/point_cloud.ply")))
+    shutil.copy("elsewhere/point_cloud.ply", "scene/point_cloud.ply")
+    assert run_json("info", "scene")["fit"]["verdict"] == "hopeless"
+    check_message(re.sub(r"-?0\.\d+", "#", refused("extract", "scene", *FREE, "--out", "r", "--views", 2)))
+    assert run_json(*BUILD, "--no-check-fit")["views"] == 4
+
+
+def test_cameras_follow_a_splat_into_the_frame_of_its_training():
+    shift, scale = (3.0, -1.0, 2.0), 0.7
+    gaussians = load_gaussians("scene/point_cloud.ply")
+    means = scale * (gaussians.means + gaussians.means.new_tensor(shift))
+    save_gaussians(replace(gaussians, means=means, scales=scale * gaussians.scales), "trained.ply")
+    trained = (*BUILD, "--gaussians", "trained.ply")
+    assert "does not fit the cameras" in refused(*trained)
+    rows = [[float(row == column) for column in range(3)] + [shift[row]] for row in range(3)]
+    Path("dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": scale}))
+    words = ("--model", "scene/words.npz")
+    printed(*trained, *words, "--dataparser-transforms", "dataparser_transforms.json")
+
+
+# ---- transfer
+
+
+@pytest.fixture
+def edited() -> Gaussians:
+    """The scene's splat without its first five Gaussians, and with one more elsewhere."""
+    splat = load_gaussians("scene")
+    pasted = replace(splat, means=splat.means + 100).select([7])
+    edited = joined(splat.select(slice(5, None)), pasted)
+    save_gaussians(edited, "edited.ply")
+    return edited
+
+
+def test_codes_are_carried_over_to_an_edited_splat(edited: Gaussians) -> None:
+    run_json("transfer", "f.scoup", "edited.ply")
+    first, field = LanguageField.load("f.scoup"), LanguageField.load("edited.scoup")
+    assert field.code_weights[:-1].equal(first.code_weights[5:])
+    assert not field.code_weights[-1].any()
+    assert field.gaussians.fingerprint() == edited.fingerprint()
+
+
+def test_an_embedded_splat_is_replaced_by_the_edited_one(edited: Gaussians) -> None:
+    field = LanguageField.load("f.scoup")
+    _ = field.gaussians
+    field.geometry_path = None
+    field.save("whole.scoup")
+    run_json("transfer", "whole.scoup", "edited.ply", "--out", "b.scoup")
+    Path("edited.ply").unlink()
+    assert LanguageField.load("b.scoup").gaussians.fingerprint() == edited.fingerprint()

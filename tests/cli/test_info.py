@@ -1,8 +1,9 @@
-"""scoup info, on every kind of file."""
+"""scoup info, on every kind of file, and what a build says of the same scene."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,21 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json, write_scene
+from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
-from scoup.io import (
-    load_cameras,
-    load_gaussians,
-    read_ply_table,
-    save_gaussians,
-    write_colmap,
-    write_ply_table,
-    write_transforms,
-)
-from scoup.scene import Cameras
+from scoup.io import load_cameras, load_gaussians, save_gaussians, write_colmap, write_transforms
+from scoup.io.splats.ply import read_ply_table, write_ply_table
+from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
-
 
 SPLAT = {"kind": "splat", "gaussians": 150, "sh_degree": 0}
 CAMERAS = {"cameras": 4, "first": "view_00.png"}
@@ -131,3 +124,102 @@ def test_a_scene_whose_data_are_not_whole() -> None:
     assert said in run("info", "half")[2]
     Path("half/point_cloud.ply").unlink()
     assert "has cameras.bin but not images.bin" in refused("info", "half")
+
+
+# ---- scenes that are laid out in other ways
+
+
+@pytest.mark.parametrize("folder", ["scene/sparse", "scene/sparse/0"])
+def test_a_folder_of_colmap_means_its_scene(folder):
+    assert run("build", folder, *QUICK)[0] == 0  # finds splat and regions, and is named after the scene
+    assert run_json("info", "scene.scoup")["geometry"] == str(Path("scene/point_cloud.ply").absolute())
+    assert run_json("info", folder)["cameras"] == 4
+
+
+def test_several_models_of_colmap():
+    shutil.copytree("scene/sparse/0", "scene/sparse/10")
+    shutil.copytree("scene/sparse/0", "scene/sparse/2")
+    said = "scene/sparse/0: used, and 2 other COLMAP models not; to use another, pass its folder "
+    said += "(scene/sparse/2, scene/sparse/10)"
+    assert run_json("info", "scene")["warnings"] == [said]
+    assert said in run_json(*BUILD)["warnings"]
+    assert said not in run_json("build", "scene/sparse/10", *QUICK, "--out", "b.scoup")["warnings"]
+    shutil.rmtree("scene/sparse/0")
+    shutil.rmtree("scene/sparse/10")
+    assert run_json("info", "scene/sparse")["cameras_from"] == "scene/sparse/2"
+
+
+def test_unreadable_photographs_are_counted_by_info():
+    images = Path("scene/images")
+    png = (images / "view_01.png").read_bytes()
+    (images / "view_01.png").write_bytes(png[: len(png) * 3 // 5])
+    (images / "view_02.png").write_text("these are not the bytes you are looking for\n")
+    record = run_json("info", "scene")
+    assert (record["cameras"], record["with_image"], record["unreadable_photographs"]) == (4, 3, 2)
+    first, second = record["unreadable"]
+    assert first.startswith("view_01.png cannot be decoded")
+    assert second == "view_02.png is not an image that can be read"
+    assert run_json("info", "scene/sparse/0/images.bin")["unreadable_photographs"] == 2
+    for number, ending in enumerate(("jpg", "webp", "tif")):
+        (images / f"view_0{number}.png").unlink()
+        Image.new("RGB", (40, 30), (9, 99, 199)).save(images / f"view_0{number}.{ending}")
+    with open(images / "view_00.jpg", "ab") as jpeg:
+        jpeg.write(b"behind the end, as phones write it")
+    record = run_json("info", "scene")
+    assert record["with_image"] == 4
+    assert "unreadable" not in record
+    webp = (images / "view_01.webp").read_bytes()
+    (images / "view_01.webp").write_bytes(webp[: len(webp) * 3 // 5])
+    assert run_json("info", "scene")["unreadable_photographs"] == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")
+def test_a_photograph_that_is_a_named_pipe_is_skipped() -> None:
+    image = Path("scene/images/view_00.png")
+    image.unlink()
+    os.mkfifo(image)
+    code, _, err = run("extract", "scene", *FREE, "--out", "regions")
+    assert code == 0
+    assert "view_00.png: is a named pipe (FIFO), not an image" in err
+
+
+def outside_transforms(path: str) -> None:
+    """Two cameras, one of them with an image at this path."""
+    file = Path("scene/transforms.json")
+    write_transforms(load_cameras("scene"), file)
+    content = json.loads(file.read_text())
+    first, second, *_ = content["frames"]
+    frames = [{**first, "file_path": path}, {**second, "file_path": "images/view_01.png"}]
+    file.write_text(json.dumps({**content, "frames": frames}))
+
+
+@pytest.mark.parametrize(
+    "path", ["../secret.png", "/home/me/secret.png", "images/../../secret.png", "C:\\secret.png"]
+)
+def test_images_outside_of_the_scene_are_not_opened(path):
+    shutil.copy("scene/images/view_01.png", "secret.png")
+    outside_transforms(path)
+    (said,) = [each for each in run_json("info", "scene/transforms.json")["warnings"] if "outside" in each]
+    shown = path.replace("\\", "/")
+    assert f"names 1 image outside of the scene's folder ({shown}); only those in it are" in said
+    assert run_json("info", "scene/transforms.json")["with_image"] == 1
+    shutil.copy("scene/images/view_01.png", "scene/images/secret.png")  # found by its name
+    assert run_json("info", "scene/transforms.json")["with_image"] == 2
+
+
+def test_images_linked_into_the_scene_are_opened():
+    shutil.move("scene/images", "elsewhere")
+    Path("scene/images").symlink_to(Path("elsewhere").absolute())
+    outside_transforms(str(Path("scene/images/view_00.png").absolute()))
+    record = run_json("info", "scene/transforms.json")
+    assert record["with_image"] == 2
+    assert "warnings" not in record
+
+
+def test_names_of_colmap_and_inria_that_leave_the_scene():
+    cameras = Cameras(replace(camera, name=f"../{camera.name}") for camera in load_cameras("scene"))
+    write_colmap(cameras, "other/sparse/0")
+    write_inria_cameras(cameras, "third/cameras.json")
+    for file in ("other/sparse/0/images.bin", "third/cameras.json"):
+        said = run_json("info", Path(file).parts[0])["warnings"][0]
+        assert f"{file}: names 4 images outside of the scene's folder (../view_00.png, ../view_01.png" in said

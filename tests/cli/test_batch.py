@@ -16,12 +16,14 @@ pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scou
 pytestmark = pytest.mark.usefixtures("quick_python")
 
 
-def test_a_folder_of_scans_becomes_fields_and_an_archive(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+
+
+def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
     for name in "ab":
-        write_scene(tmp_path / "scans" / name)  # of one world: their words are the same
+        write_scene(Path("scans") / name)  # of one world: their words are the same
     shutil.copytree("scans/a", "scans/broken")
     Path("scans/broken/point_cloud.ply").write_bytes(b"ply\n")
     table = Path("scans/a/words.npz").resolve()
@@ -45,18 +47,18 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     # Only what is missing is made again, in fields and archive.
     shutil.copy("scans/a/point_cloud.ply", "scans/broken/point_cloud.ply")
     Path("archive/a.parquet").unlink()
-    before = Path("fields/a.scoup").stat().st_mtime_ns, Path("archive/b.parquet").stat().st_mtime_ns
+    times = lambda: [Path(name).stat().st_mtime_ns for name in ("fields/a.scoup", "archive/b.parquet")]  # noqa: E731
+    before = times()
     first = said["scans"]["b"]
     said = run_json(*command)
     assert said["scans"]["b"] == {**first, "kept": True}
     kept = {name: record["kept"] for name, record in said["scans"].items()}
     assert kept == {"a": True, "b": True, "broken": False}
-    assert before == (Path("fields/a.scoup").stat().st_mtime_ns, Path("archive/b.parquet").stat().st_mtime_ns)
+    assert times() == before
     assert len(run_json("archive", "archive", "--list")["scans"]) == 3
 
 
-def test_builds_get_the_options_that_were_passed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("scans/a").mkdir(parents=True)
     seen: dict[str, list[str]] = {}
     monkeypatch.setattr(
@@ -69,19 +71,15 @@ def test_builds_get_the_options_that_were_passed(tmp_path: Path, monkeypatch: py
     assert sorted(rest) == sorted([*passed, "--device", "cpu", "--overwrite", "--json"])
 
 
-def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "scans" / "a")
+def test_fields_that_name_no_words_are_not_archived() -> None:
+    write_scene(Path("scans/a"))
     code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive")
     assert code == 2
     assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
 
 
 @pytest.mark.parametrize("kind", ["127.0.0.1:{}", "ray://localhost:{}", "localhost:9{}"])
-def test_a_cluster_that_is_not_there_is_refused_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_cluster_that_is_not_there_is_refused_at_once(kind: str) -> None:
     Path("scans/a").mkdir(parents=True)
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))

@@ -1,4 +1,4 @@
-"""scoup convert: region features, and what other systems leave."""
+"""scoup convert and words: region features, what other systems leave, and words of a model."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, QUICK, printed, refused, run, run_json
+from cli_support import BUILD, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query import LanguageField
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import load_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query.language_field import LanguageField
+from tiny_models import save_text_clip
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -82,13 +86,12 @@ def test_splats_become_others(suffix):
     assert run_json("info", f"a{suffix}")["kind"] == "splat"
 
 
-def test_a_field_is_built_on_a_splat_of_another_format():
-    run_json("convert", "scene", "scene.spz")
-    options = ("--gaussians", "scene.spz", "--model", "scene/words.npz", "--out", "b.scoup")
-    run_json("build", "scene", *QUICK, *options)
-    chosen = run_json("select", "b.scoup", "kettle", "--out", "kettle.glb", "--always")
-    assert len(load_gaussians("kettle.glb")) == chosen["written"] > 0
-    assert run_json("label", "b.scoup", "kettle", "mug", "--out", "labels")["gaussians"] == 150
+def test_langsplats_files_become_compact():
+    record = run_json("convert", "scene", "compact", "--bits", "32", "--model", "my/model")
+    assert record["bytes_after"] < record["bytes_before"]
+    info = run_json("info", "compact")
+    assert (info["kind"], info["views"], info["embedding_model"]) == ("region features", 4, "my/model")
+    assert run_json("convert", "compact", "half")["bytes_after"] < record["bytes_after"]
 
 
 def test_openusd_is_written_and_not_read():
@@ -97,3 +100,27 @@ def test_openusd_is_written_and_not_read():
     stage = usd.Stage.Open("kettle.usdz")
     assert len(stage.GetDefaultPrim().GetAttribute("positions").Get()) == chosen["written"] > 0
     assert run_json("convert", "scene/point_cloud.ply", "a.usd")["gaussians"] == 150
+
+
+# ---- words
+
+
+def test_a_table_answers_as_its_model():
+    """A tiny random one."""
+    save_text_clip(Path("clip"))
+    Path("list.txt").write_text("red apple\n\nobject\nchair\nred apple\n")
+    said = run_json("words", "--model", "clip", "--words", "list.txt")
+    names = (*CANONICAL_PHRASES, "red apple", "chair", *(word for word in EVERYDAY_WORDS if word != "chair"))
+    assert said == {"out": "words.npz", "names": len(names), "dim": 12, "embedding_model": "clip"}
+    assert load_table("words.npz").names == names
+    table, model = TextEncoder.open("words.npz"), TextEncoder.open("clip")
+    asked = ["red apple", "chair", "the lamps"]
+    assert (table.encode(asked) * model.encode(["red apple", "chair", "lamp"])).sum(1).min() > 1 - 1e-6
+    assert (table.canonical() * model.canonical()).sum(1).min() > 1 - 1e-6
+    assert table.everyday().shape[0] >= len(EVERYDAY_WORDS)
+    out = printed("words", "--model", "clip", "--out", "w.npz")
+    assert "scoup build SCENE --model w.npz" in out
+
+
+def test_a_model_that_is_nowhere():
+    assert "text model 'nobody/none' cannot be loaded" in refused("words", "--model", "nobody/none")

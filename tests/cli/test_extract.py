@@ -1,10 +1,11 @@
-"""scoup extract, regions and convert, as a user runs them; without models."""
+"""scoup extract, views, and builds that begin with them: what is special of them, without models."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,18 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json
+from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json, snapshot
 from scoup.cli.options import CLIP_MODEL
-from scoup.io import find_detections, load_cameras, load_regions, write_colmap
+from scoup.cli.views import MakeViews, OwnViews
+from scoup.io import (
+    load_cameras,
+    load_gaussians,
+    load_regions,
+    save_gaussians,
+    write_colmap,
+    write_transforms,
+)
+from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
 from scoup.query import LanguageField
 from scoup.scene import Detections
@@ -23,6 +33,8 @@ from scoup.uplift.naming import things_in_view
 pytestmark = pytest.mark.usefixtures("here")
 
 ROOT = Path(__file__).parents[2]
+SPLAT = Path("scene/point_cloud.ply")
+SMALL = ("--width", "24", "--height", "18", "--up", "0", "-1", "0")
 
 
 def photographs() -> None:
@@ -31,21 +43,13 @@ def photographs() -> None:
     plain_photographs()
 
 
-def test_extract_then_build(here) -> None:
+def test_extract_then_build() -> None:
     photographs()
-    record = run_json("extract", "scene", *FREE)
-    assert (record["made"], record["kept"], record["skipped"]) == (4, 0, {})
-    assert record["embedding_model"] == "colors"
-    assert set(record["stages"]) == {"decode", "segment", "embed", "write"}
+    assert set(run_json("extract", "scene", *FREE)["stages"]) == {"decode", "segment", "embed", "write"}
     settings = json.loads(Path("scene/language_features", MANIFEST).read_text())["settings"]
     assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", 1080)
     again = run_json("extract", "scene", *FREE)
     assert (again["made"], again["kept"]) == (0, 4)
-    code, out, _ = run("extract", "scene", *FREE, "--overwrite")
-    assert code == 0
-    assert "4 views made, in" in out
-    assert "seconds a view: decode" in out
-    assert "look unlike their photographs" in refused("build", "scene", *QUICK, "--out", "a.scoup")
     build = ("build", "scene", *QUICK, "--no-check-fit", "--out")
     run_json(*build, "a.scoup")
     field = LanguageField.load("a.scoup")
@@ -55,7 +59,7 @@ def test_extract_then_build(here) -> None:
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
 
 
-def test_extract_from_photographs_alone(here) -> None:
+def test_extract_from_photographs_alone() -> None:
     photographs()
     record = run_json("extract", "scene/images", *FREE, "--out", "deep/out")
     assert record["made"] == 4
@@ -66,36 +70,19 @@ def test_extract_from_photographs_alone(here) -> None:
         assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
 
 
-def test_regions_picture(here) -> None:
+def test_regions_picture() -> None:
     photographs()
-    run_json("extract", "scene", *FREE)
-    record = run_json("extract", "scene", "--show", "view_02")
-    assert record["view"] == "view_02.png"
-    assert "view_02_regions.png: already exists" in refused("extract", "scene", "--show", "view_02")
+    run_json("extract", "scene", *FREE, "--out", "regions")
+    record = run_json("extract", "scene", "--show", "view_00.png", "--out", "regions")
+    assert record["view"] == "view_00.png"
     assert all(record["regions"][level] >= 1 for level in "sml")
-    with Image.open("view_02_regions.png") as picture:
+    assert set(record["covered"].values()) == {1}
+    with Image.open("view_00_regions.png") as picture:
         assert picture.size[0] == 1800
         assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
-    Path("scene/language_features").rename("regions")
-    options = ("--show", "view_00.png", "--out", "regions")
-    assert "100% covered" in run("extract", "scene", *options)[1]
-    Path("scene/images/view_03.png").unlink()
-    Path("regions/view_03.regions").unlink()
-    said = refused("extract", "scene", "--show", "view_03", "--out", "regions")
-    there = "it has view_00.regions, view_01.regions, view_02.regions; make them with scoup extract"
-    assert f"has no regions of view_03.png: expected view_03.regions; {there}" in said
 
 
-def test_langsplats_files_become_compact(here) -> None:
-    record = run_json("convert", "scene", "compact", "--bits", "32", "--model", "my/model")
-    assert record["views"] == 4
-    assert record["bytes_after"] < record["bytes_before"]
-    info = run_json("info", "compact")
-    assert (info["kind"], info["views"], info["embedding_model"]) == ("region features", 4, "my/model")
-    assert run_json("convert", "compact", "half")["bytes_after"] < record["bytes_after"]
-
-
-def test_convert_into_a_folder_that_extract_has_made(here) -> None:
+def test_convert_into_a_folder_that_extract_has_made() -> None:
     Path("scene/language_features").rename("langsplat")
     plain_photographs()
     run_json("extract", "scene", *FREE, "--out", "regions")
@@ -104,16 +91,14 @@ def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     assert len(load_regions("regions", load_cameras("scene"))) == 4
 
 
-def test_parts_of_an_extraction(here) -> None:
+def test_parts_of_an_extraction() -> None:
     photographs()
     records = [run_json("extract", "scene", *FREE, "--part", f"{number}/3") for number in (1, 2, 3)]
-    assert [(record["part"], record["of_parts"]) for record in records] == [(1, 3), (2, 3), (3, 3)]
     assert [record["made"] for record in records] == [2, 1, 1]
     assert len(load_regions("scene", load_cameras("scene"))) == 4
-    assert "(part 1 of 3)" in run("extract", "scene", *FREE, "--part", "1/3", "--out", "other")[1]
 
 
-def test_photographs_are_chosen_and_more_are_added(here) -> None:
+def test_photographs_are_chosen_and_more_are_added() -> None:
     shutil.rmtree("scene/language_features")
     manifest = Path("scene/language_features", MANIFEST)
 
@@ -141,13 +126,12 @@ def test_photographs_are_chosen_and_more_are_added(here) -> None:
 
 
 @pytest.mark.parametrize("without", ["point_cloud.ply", "sparse"])
-def test_what_the_choice_of_photographs_needs(here, monkeypatch: pytest.MonkeyPatch, without: str) -> None:
+def test_what_the_choice_of_photographs_needs(monkeypatch: pytest.MonkeyPatch, without: str) -> None:
     """COLMAP's points serve without a splat; without cameras all are taken, unless a number is passed."""
     monkeypatch.setattr("scoup.extract.constants.FEW", 1)
     shutil.rmtree("scene/language_features")
     if without == "sparse":
         shutil.rmtree("scene/sparse")
-        assert "contains no cameras" in refused("extract", "scene", *FREE, "--views", 2)
         said = "takes all 4 photographs, for they cannot be compared: scene: contains no cameras"
         assert said in run("extract", "scene", *FREE)[1]
     else:
@@ -156,11 +140,6 @@ def test_what_the_choice_of_photographs_needs(here, monkeypatch: pytest.MonkeyPa
         write_colmap(load_cameras("scene"), "scene/sparse/0", (points, colors), overwrite=True)
         Path("scene/point_cloud.ply").unlink()
         assert run_json("extract", "scene", *FREE, "--views", 3)["chosen"] == 3
-
-
-def test_a_splat_that_does_not_fit_chooses_nothing(here) -> None:
-    photographs()
-    assert "does not fit the cameras" in refused("extract", "scene", *FREE, "--views", 2)
 
 
 def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path, monkeypatch) -> None:
@@ -222,3 +201,106 @@ def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyP
     assert named.names.texts == ("kettle", "robot")
     assert int(named.names.votes_of(1, len(named)).argmax()) == thing
     assert float(named.names.presence[0]) == 0 < float(named.names.presence[1])
+
+
+# ---- views of a splat alone
+
+
+def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:
+    record = run_json("views", SPLAT, *SMALL, "--views", 4, "--out", "own")
+    assert record["views"] == 4
+    assert record["coverage"] >= record["coverage_by_three"] > 0
+    cameras = load_cameras("own")
+    assert [camera.image_path is not None for camera in cameras] == [True] * 4
+    assert {(camera.width, camera.height) for camera in cameras} == {(24, 18)}
+    with Image.open("own/views.png") as sheet:
+        assert sheet.width == 1200
+    run_json("extract", "own", *FREE)
+    # The renders are those of the splat: the check that photographs fit it passes.
+    built = run_json("build", "own", "--gaussians", SPLAT, *QUICK, "--out", "a.scoup")
+    assert built["views"] == 4
+
+
+def test_views_that_are_there_are_replaced_on_request() -> None:
+    """Their images go, and no others."""
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
+    shutil.copy("own/images/own_000.png", "own/images/own_009.png")
+    assert "own/transforms.json" in refused("views", SPLAT, *SMALL, "--views", 1, "--out", "own")
+    run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "own", "--overwrite")
+    assert len(load_cameras("own")) == 1
+    assert sorted(path.name for path in Path("own/images").iterdir()) == ["own_000.png", "own_009.png"]
+
+
+def test_photographs_whose_cameras_are_replaced_stay() -> None:
+    before = sorted(Path("scene/images").iterdir())
+    write_transforms(load_cameras("scene"), "scene/transforms.json")
+    shutil.rmtree("scene/sparse")
+    run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "scene", "--overwrite")
+    assert set(before) < set(Path("scene/images").iterdir())
+
+
+@pytest.mark.slow  # views of the usual size
+def test_a_build_of_a_splat_alone_makes_its_views() -> None:
+    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    assert built["views"] == len(load_cameras("alone_views")) > 1
+
+
+def test_a_build_of_a_splat_alone_continues() -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "all alone_views")
+    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")
+    cameras = LanguageField.load("all alone.scoup").cameras
+    assert cameras is not None
+    assert cameras.names == load_cameras("all alone_views").names
+    assert built["views"] == 3
+    kept = snapshot(Path("all alone_views"))
+    code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup", "--overwrite")
+    assert code == 0
+    again = f"scoup views {SPLAT} --out 'all alone_views' --overwrite"
+    assert f"uses the existing views; to replace them: {again}" in said
+    assert "already there" in said
+    assert snapshot(Path("all alone_views")) == kept
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "alone_views")
+    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    for place, expected in (
+        ("scoup.extract.pipeline.describe_masks", "the views are kept"),
+        ("scoup.uplift.build.build", "3 of 3 views are kept"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, interrupt)
+            code, said, error = run(*build)
+        assert code == 130
+        assert f"interrupted; {expected}, run the same command again to continue" in error
+        assert "scoup extract" not in said  # which the build does itself
+    assert run(*build)[0] == 0
+
+
+def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
+    Path("alone_views/transforms.json").unlink()
+    monkeypatch.setattr(
+        "scoup.cli.views.MakeViews",
+        partial(MakeViews, view=OwnViews(width=24, height=18, views=2, up=(0, -1, 0))),
+    )
+    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)
+    assert run_json(*build, "--overwrite")["views"] == 2
+
+
+@pytest.mark.parametrize(("options", "sign"), [((), -1), (("--keep-axes",), 1)])
+def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None:
+    """-y of a PLY whose numbers an .spz keeps is +y of the scene."""
+    save_gaussians(load_gaussians(SPLAT), "kept.spz", keep_axes=True)
+    run_json("views", "kept.spz", *SMALL, *options, "--views", 2, "--out", "own")
+    for camera in load_cameras("own"):
+        assert sign * -float(camera.viewmat[1, 1]) > 0
+    code, _, err = run("views", "kept.spz", *SMALL[:4], *options, "--views", 2, "--out", "guessed")
+    assert code == 0
+    assert "up is a guess" in err
+    assert "--keep-axes for" in err
