@@ -18,6 +18,7 @@ import torch
 import scoup
 from query import planted_room as planted
 from query.planted_room import planted_room
+from messages import refuses
 from scoup.archive import archive as archive_module
 from scoup.archive import kept_scans
 from scoup.archive.kept_scans import MATRIX, KeptScans
@@ -44,12 +45,12 @@ def test_a_scan_is_replaced_and_removed(
         "kitchen.parquet",
         MATRIX,
     ]
-    with pytest.raises(UnknownNameError, match="no scan named 'ofice'"):
+    with refuses(UnknownNameError):
         archive.remove("ofice")
     copy = tmp_path / "hall.scoup"
     fields["hall"].save(copy)
     fields["hall"].path = archive.scans()["hall"].field_path
-    with pytest.raises(InputError, match=r"is of .*rename one"):
+    with refuses():
         archive.add(copy)
 
 
@@ -127,7 +128,7 @@ def test_a_damaged_matrix_is_named_and_written_again(
     matrix.unlink() if damage == "remove" else matrix.write_bytes(
         data if damage == "flip" else cut(bytes(data))
     )
-    with pytest.raises(FileFormatError, match=r"vectors\.f16: .* scan \w+ in it are damaged; add the field"):
+    with refuses(FileFormatError):
         scoup.Archive(archive.folder).find("mug")
     assert set(scoup.Archive(archive.folder).scans()) == set(fields)
     for floor, name in enumerate(fields):
@@ -195,10 +196,7 @@ def test_scans_are_listed_again_if_one_has_gone(
 
 @pytest.mark.parametrize("is_before", [True, False])
 def test_things_are_of_the_files_that_a_condition_holds_for(
-    archive: scoup.Archive,
-    fields: dict[str, LanguageField],
-    monkeypatch: pytest.MonkeyPatch,
-    is_before: bool,
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch, is_before: bool
 ) -> None:
     floors, asked, matching = [7], list[list[str]](), scoup.Archive._wanted
 
@@ -233,7 +231,7 @@ def test_what_does_not_fit_is_refused(
     archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
 ) -> None:
     field = planted_room()
-    with pytest.raises(InputError, match="is not saved"):
+    with refuses():
         archive.add(field)
     for change, said in (
         ({"embedding_model": "other/model"}, "other/model .*some/model .*archive per embedding model"),
@@ -242,7 +240,7 @@ def test_what_does_not_fit_is_refused(
         field.info = replace(field.info, **change)
         field.save(tmp_path / "new.scoup", overwrite=True)
         if said:
-            with pytest.raises(InputError, match=said):
+            with refuses():
                 archive.add(field)
         else:
             archive.add(field)
@@ -250,18 +248,18 @@ def test_what_does_not_fit_is_refused(
     for columns in (
         {"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}, {"floor": 2**63}, {"city": "\ud800"},
     ):  # fmt: skip
-        with pytest.raises(InputError, match="column"):
+        with refuses():
             new.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
     assert not new.folder.exists()
     bare = planted_room(has_things=False)
     bare.save(tmp_path / "bare.scoup")
-    with pytest.raises(InputError, match="has no things"):
+    with refuses():
         archive.add(bare)
-    with pytest.raises(InputError, match="`top`"):
+    with refuses():
         archive.find("mug", top=0)
-    with pytest.raises(InputError, match="dimensions"):
+    with refuses():
         scoup.Archive(archive.folder, TextEncoder.open({"mug": torch.ones(5)})).find("mug")
-    with pytest.raises(InputError, match="there is no such archive"):
+    with refuses():
         scoup.Archive(tmp_path / "nothing").find("mug")
 
 
@@ -319,7 +317,7 @@ def test_a_damaged_scan_is_named_and_replaced(
     archive: scoup.Archive, fields: dict[str, LanguageField], damage: Callable[[Path], Any]
 ) -> None:
     damage(archive.folder / "office.parquet")
-    with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
+    with refuses(FileFormatError):
         scoup.Archive(archive.folder).find("mug")
     archive.add(fields["office"])
     assert "office" in {each.scan for each in archive.find("mug")}
@@ -337,5 +335,5 @@ def test_a_damaged_scan_is_named_and_replaced(
 def test_a_damaged_description_is_named(archive: scoup.Archive, text: str | None, said: str) -> None:
     path = archive.folder / "archive.json"
     path.unlink() if text is None else path.write_text(text)
-    with pytest.raises(FileFormatError, match=rf"archive\.json: .*{said}"):
+    with refuses(FileFormatError):
         scoup.Archive(archive.folder)

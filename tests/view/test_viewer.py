@@ -15,6 +15,7 @@ pytest.importorskip("uvicorn", reason="needs scoup[view]")
 
 from view_samples import PAGE, random_field, table, viewed_field
 
+from messages import refuses
 from scoup.base.errors import InputError, ScoupError
 from scoup.view import viewer as module
 from scoup.view.viewer import PORT, Viewer, check_needed, open_viewer
@@ -62,10 +63,9 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
         assert first.address != second.address
         assert first.address.startswith("http://127.0.0.1:")
     assert PORT > 1024
-    with pytest.raises(InputError, match=r"is not a host of this machine|cannot assign|Cannot assign"):
-        Viewer(viewed_field(), host="192.0.2.1", port=0)
-    with pytest.raises(InputError, match="is not a host"):
-        Viewer(viewed_field(), host="no such host", port=0)
+    for host in ("192.0.2.1", "no such host"):
+        with pytest.raises(InputError, match="is not a host|[Cc]annot assign"):
+            Viewer(viewed_field(), host=host, port=0)
 
 
 def test_a_field_opens_its_viewer() -> None:
@@ -78,5 +78,5 @@ def test_a_field_opens_its_viewer() -> None:
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     check_needed()
     monkeypatch.setattr(module, "_NEEDED", ("uvicorn", "no_such_package"))
-    with pytest.raises(ScoupError, match=r'needs no_such_package: pip install "scoup\[view\]"'):
+    with refuses(ScoupError):
         open_viewer(random_field())
