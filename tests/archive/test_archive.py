@@ -15,9 +15,9 @@ import torch
 from PIL import Image
 
 import scoup
-from messages import refuses, warns
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
+from messages import refuses, warns
 from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
@@ -37,44 +37,38 @@ from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 
+Fields = dict[str, LanguageField]
 
-@pytest.mark.parametrize(
-    "question",
-    [
-        "mug",
-        "lamp",
-        ABSENT,
-        "mug or ball",
-        "mugs",
-        "mug left of the laptop",
-        "largest mug",
-        "pen or mug on the table",
-    ],
-)
-def test_answers_are_those_of_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField], question: str
-) -> None:
-    found = archive.find(question, top=1000)
-    assert_answers_are_those_of(found, fields, question)
-    for top in (1, 2):
-        assert [(each.scan, each.thing) for each in archive.find(question, top=top)] == [
-            (each.scan, each.thing) for each in found[:top]
-        ]
+
+@pytest.mark.parametrize("question", [
+    "mug", "lamp", ABSENT, "mug or ball", "mugs", "mug left of the laptop", "largest mug", "pen or mug on the table",
+])  # fmt: skip
+def test_answers_are_those_of_the_fields(archive: scoup.Archive, fields: Fields, question: str) -> None:
+    found = asked_as_the_fields(archive, fields, question)
     assert bool(found) == (question != ABSENT)
-    ordered = [rank_of([each.score], lead_of(fields[each.scan], each))[0] for each in found]
+
+
+def asked_as_the_fields(archive: scoup.Archive, fields: Fields, question: str) -> list[FoundThing]:
+    """What is found, checked to be the fields' answers, the best ones first."""
+
+    def rank(found: FoundThing) -> float:
+        field = fields[found.scan]
+        question = field.question(found.text)
+        index = thing_index(field, question)
+        assert index is not None
+        return float(rank_of([found.score], index.leads(index.fits(question.queries))[found.thing])[0])
+
+    found = archive.find(question, top=10_000)
+    assert_answers_are_those_of(found, fields, question)
+    ordered = [rank(each) for each in found]
     assert ordered == sorted(ordered, reverse=True)
+    for top in (1, 3):
+        best = [(each.scan, each.thing) for each in archive.find(question, top=top)]
+        assert best == [(each.scan, each.thing) for each in found[:top]]
+    return found
 
 
-def lead_of(field: LanguageField, found: FoundThing) -> torch.Tensor:
-    question = field.question(found.text)
-    index = thing_index(field, question)
-    assert index is not None
-    return index.leads(index.fits(question.queries))[found.thing]
-
-
-def assert_answers_are_those_of(
-    found: list[FoundThing], fields: dict[str, LanguageField], question: str
-) -> None:
+def assert_answers_are_those_of(found: list[FoundThing], fields: Fields, question: str) -> None:
     for name, field in fields.items():
         mine = {each.thing: each for each in found if each.scan == name}
         things = field.things(question)
@@ -90,9 +84,7 @@ def assert_answers_are_those_of(
 
 
 @pytest.fixture(scope="module")
-def fifty(
-    fields: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, LanguageField]:
+def fifty(fields: Fields, tmp_path_factory: pytest.TempPathFactory) -> Fields:
     """Saved fields of fifty rooms: other boxes and doubtful things in each, wholes in some, names in some."""
     folder, made = tmp_path_factory.mktemp("fifty"), {}
     encoder = fields["office"].encoder
@@ -123,41 +115,26 @@ def fifty(
 
 
 @pytest.fixture(scope="module")
-def many(fifty: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
+def many(fifty: Fields, tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
     made = scoup.Archive(tmp_path_factory.mktemp("many"), next(iter(fifty.values())).encoder)
     for field in fifty.values():
         made.add(field)
     return made
 
 
-@pytest.mark.parametrize(
-    ("question", "scans"),
-    [
-        ("mug", range(30, 50)),
-        ("lamp", range(20, 50)),
-        ("apple", range(20, 51)),
-        (ABSENT, range(1, 30)),
-        ("mug or ball", range(30, 51)),
-        ("mug and lamp", range(1, 50)),
-        ("pen left of the laptop", range(1, 30)),
-        ("word 3", range(1, 50)),
-    ],
-)
+@pytest.mark.parametrize(("question", "scans"), [
+    ("mug", range(30, 50)), ("lamp", range(20, 50)), ("apple", range(20, 51)), (ABSENT, range(1, 30)),
+    ("mug or ball", range(30, 51)), ("mug and lamp", range(1, 50)), ("pen left of the laptop", range(1, 30)),
+    ("word 3", range(1, 50)),
+])  # fmt: skip
 def test_fifty_scans_answer_as_their_fields(
-    many: scoup.Archive, fifty: dict[str, LanguageField], question: str, scans: range
+    many: scoup.Archive, fifty: Fields, question: str, scans: range
 ) -> None:
-    found = many.find(question, top=10_000)
-    assert_answers_are_those_of(found, fifty, question)
+    found = asked_as_the_fields(many, fifty, question)
     assert len({each.scan for each in found}) in scans
-    ordered = [rank_of([each.score], lead_of(fifty[each.scan], each))[0] for each in found]
-    assert ordered == sorted(ordered, reverse=True)
-    first = [(each.scan, each.thing) for each in found]
-    assert [(each.scan, each.thing) for each in many.find(question, top=3)] == first[:3]
 
 
-def test_things_are_counted_as_in_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_things_are_counted_as_in_the_fields(archive: scoup.Archive, fields: Fields, tmp_path: Path) -> None:
     places = torch.arange(len(fields["office"].gaussians))
     few = fields["office"][(places < 1000) | (places % 30 == 0)]  # later things keep less than ten Gaussians
     few.save(tmp_path / "few.scoup")
@@ -168,9 +145,7 @@ def test_things_are_counted_as_in_the_fields(
     assert 0 < counts["few"] < len(few.thing_table)
 
 
-def test_names_that_a_model_gave_answer_as_in_the_field(
-    fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_names_that_a_model_gave_answer_as_in_the_field(fields: Fields, tmp_path: Path) -> None:
     encoder = fields["office"].encoder
     assert encoder.names is not None
     table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
@@ -185,13 +160,8 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     field = altered(field, thing_table=things, info=info, words=table)
     field.save(tmp_path / "named.scoup")
     archive.add(field)
-    asked = {
-        "mug": {MUG},  # without the names, the other, too
-        "beaker": {MUG},
-        "lamp": {LAMP},
-        ABSENT: set(),
-        "pen": set(),
-    }
+    # Without the names, "mug" would find the other, too.
+    asked = {"mug": {MUG}, "beaker": {MUG}, "lamp": {LAMP}, ABSENT: set(), "pen": set()}
     for question in (*asked, "mugs", "mug left of the laptop", "pen or lamp"):
         found = archive.find(question)
         assert_answers_are_those_of(found, {"named": field}, question)
@@ -210,9 +180,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")
 
 
-def test_scans_and_things_are_chosen_by_their_columns(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive, fields: Fields) -> None:
     found = archive.find("lamp", where="floor >= 1 and city = 'Graz'")
     assert {each.scan for each in found} == {"kitchen", "hall"}
     assert found[0].columns == {"floor": int(found[0].scan == "hall") + 1, "city": "Graz"}
@@ -237,13 +205,11 @@ def test_scans_and_things_are_chosen_by_their_columns(
     ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", ""],
 )
 def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
-    with refuses():
+    with pytest.raises(InputError, match="condition"):
         archive.find("mug", where=where)
 
 
-def test_a_field_that_left_or_changed_answers_no_phrase(
-    fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_a_field_that_left_or_changed_answers_no_phrase(fields: Fields, tmp_path: Path) -> None:
     archive, paths = scoup.Archive(tmp_path / "a"), [tmp_path / "one.scoup", tmp_path / "two.scoup"]
     field, phrase = planted_room(), "mug left of the laptop"
     field.info = replace(field.info, embedding_model="some/model", words=fields["office"].info.words)
@@ -257,7 +223,6 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
     with warns(ScoupWarning):
         assert {each.scan for each in archive.find(phrase)} == {"two"}
     paths[1].unlink()
-    gone = r"the field of scan two is gone: .*two\.scoup; put it back or add the field again$"
     for at_least in (None, 1):
         with warns(ScoupWarning), refuses():
             archive.find(phrase, at_least=at_least)
@@ -266,7 +231,7 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
     assert {each.scan for each in archive.find("mug")} == {"two"}
 
 
-def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField], tmp_path: Path) -> None:
+def test_a_page_has_no_pictures_of_what_is_gone(fields: Fields, tmp_path: Path) -> None:
     path = Path(shutil.copy(str(fields["office"].path), tmp_path / "moved.scoup"))
     archive = scoup.Archive(tmp_path / "a", fields["office"].encoder)
     archive.add(path)
@@ -280,9 +245,7 @@ def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField]
     assert ("<img" not in page, page.count("<li>"), "<h1>&lt;mug&gt;</h1>" in page) == (True, 2, True)
 
 
-def test_other_words_give_the_answers_of_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_other_words_give_the_answers_of_the_fields(archive: scoup.Archive, fields: Fields) -> None:
     """Statistics of the words that were known when scans were added are not used for others."""
     known = fields["office"].encoder
     assert known.names is not None
@@ -295,7 +258,7 @@ def test_other_words_give_the_answers_of_the_fields(
     ]
 
 
-def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch) -> None:
     pytest.importorskip("transformers", reason="transformers is not installed")
     from tiny_models import saved, tiny_clip
 
@@ -321,10 +284,10 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         assert (found[0].thing, len(found), found[0].text) == (thing, 3, f"{thing}.png")
         assert found[0].score == pytest.approx(1, abs=2e-3)
         with Image.open(f"{thing}.png") as opened:
-            by_pixels = [
-                each.to_dict() | {"text": found[0].text} for each in archive.find_image(opened, top=3)
-            ]
-        assert by_pixels == [each.to_dict() for each in found]
+            by_pixels = archive.find_image(opened, top=3)
+        assert [replace(each, text=found[0].text).to_dict() for each in by_pixels] == [
+            each.to_dict() for each in found
+        ]
     assert [each.thing for each in archive.find_image(f"{BALL}.png", "thing > 3", 1)] == [BALL]
     assert archive.find_image(f"{LAMP}.png", "floor = 2") == []
     save_table("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
@@ -334,16 +297,8 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
     tool, image = archive_tool(archive), base64.b64encode(Path(f"{MUG}.png").read_bytes()).decode()
     told = tool(image=image, limit=2)["things"]
     assert [each["thing"] for each in told] == [each["thing"] for each in wanted]
-    no_picture = "^`image` is not a JPEG or PNG; pass a picture in base64$"  # without a path
-    for arguments, said in (
-        ({"image": "?"}, no_picture),
-        ({"image": "aaaa"}, no_picture),
-        ({"image": image[:400]}, no_picture),
-        ({"image": image, "text": "mug"}, "without `image`"),
-        ({"image": "", "text": "mug"}, "without `image`"),
-        ({"image": ""}, "expected an image or a text"),
-        ({}, "expected an image or a text"),
-    ):
+    wrong = [*({"image": each} for each in ("?", "aaaa", image[:400], "")), {}]
+    for arguments in (*wrong, {"image": image, "text": "mug"}, {"image": "", "text": "mug"}):
         with refuses():
             tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
@@ -361,12 +316,10 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)
 
 
-def test_an_image_needs_an_embedder_of_images(
-    archive: scoup.Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_needs_an_embedder_of_images(archive: scoup.Archive, tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "a.png"
     Image.new("RGB", (20, 30)).save(path)
-    with refuses():
+    with pytest.raises(InputError, match=r"some/model .*embeds no image here .*cannot be loaded"):
         archive.find_image(path)
     monkeypatch.setattr("scoup.extract.registry.open_embedder", lambda name: PlainColors())
     with refuses():
@@ -377,7 +330,7 @@ def test_an_image_needs_an_embedder_of_images(
         archive.find_image(path, top=0)
 
 
-def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     paths = [field.path for field in fields.values()]
     added = run_json("archive", "a", "--add", *paths, "--set", "floor=2", "--set", "city=Graz")

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -59,28 +60,16 @@ PATIENCE = 60_000
 """Milliseconds for a step, on however busy a machine."""
 
 
-def why_not(page: bool = True) -> str | None:
-    """Why nothing can be tested in a browser here, if so; with or without the page."""
-    if program() is None:
-        return "there is no Chromium here (apt-get install chromium)"
-    for package in ("playwright", "starlette", "uvicorn"):
-        try:
-            __import__(package)
-        except ImportError:
-            return f"{package} is not installed"
-    if page and not (PAGE_FOLDER / "viewer.js").is_file():
-        return "the page is not built: python tools/build_viewer.py"
-    return None
-
-
 def need_browser(page: bool = True) -> None:
     """Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure."""
-    reason = why_not(page)
-    if reason is None:
-        return
-    if os.environ.get("SCOUP_TEST_BROWSER") == "required":
-        pytest.fail(reason)
-    pytest.skip(reason)
+    packages = ("playwright", "starlette", "uvicorn")
+    reasons = [f"{package} is not installed" for package in packages if find_spec(package) is None]
+    if program() is None:
+        reasons.append("there is no Chromium here (apt-get install chromium)")
+    if page and not (PAGE_FOLDER / "viewer.js").is_file():
+        reasons.append("the page is not built: python tools/build_viewer.py")
+    if reasons:
+        (pytest.fail if os.environ.get("SCOUP_TEST_BROWSER") == "required" else pytest.skip)(reasons[0])
 
 
 # ---- The scene
@@ -204,8 +193,12 @@ def saved_field(folder: Path) -> Path:
 
 # ---- The page
 
-PIXELS = """() => {
-  const { data, width, height } = window.scoupViewer.pixels();
+PIXELS = """id => {
+  const canvas = document.getElementById(id);
+  if (canvas?.hidden) return null;
+  const { data, width, height } = canvas
+    ? canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)
+    : window.scoupViewer.pixels();
   let text = "";
   for (let at = 0; at < data.length; at += 8192) text += String.fromCharCode(...data.slice(at, at + 8192));
   return { width, height, data: btoa(text) };
@@ -236,8 +229,8 @@ class Visit:
         if message.type in ("error", "warning"):
             self.problems.append(message.text)
 
-    def open(self, address: str) -> None:
-        self.page.goto(address)
+    def ready(self) -> None:
+        """Wait until the page can be asked."""
         self.until("Boolean(window.scoupViewer)")
         self.page.evaluate("window.scoupViewer.ready")
         self.settle()
@@ -306,9 +299,17 @@ class Visit:
 
     def picture(self) -> Picture:
         """What is seen of the scene, [H, W, 3]."""
-        found = self.page.evaluate(PIXELS)
+        found = self.pixels()
+        assert found is not None
+        return found[..., :3]
+
+    def pixels(self, canvas: str = "") -> Picture | None:
+        """[H, W, 4] of the scene, or of a canvas over it; None where that is hidden."""
+        found = self.page.evaluate(PIXELS, canvas)
+        if found is None:
+            return None
         rows = np.frombuffer(base64.b64decode(found["data"]), np.uint8)
-        return rows.reshape(found["height"], found["width"], 4)[..., :3]
+        return rows.reshape(found["height"], found["width"], 4)
 
     def at(self, place: tuple[float, float]) -> tuple[float, float]:
         """The point of the window at a share of the picture's width and height."""
@@ -347,7 +348,8 @@ def visiting(
     try:
         page.set_viewport_size({"width": size[0], "height": size[1]})
         visit = Visit(page)
-        visit.open(address)
+        page.goto(address)
+        visit.ready()
         yield visit
         own = urlsplit(address)
         for asked in map(urlsplit, visit.requests):
@@ -398,6 +400,7 @@ def selected_by_votes(
 
 ABSENT_TOO = "show texts that are not in the scene, too"
 AUTOMATIC = "automatic, for each text"
+LEVELS = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
 both_pages = pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
 """In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
 ALIKE = 0.06
