@@ -303,7 +303,7 @@ def test_a_damaged_description_is_named(archive: scoup.Archive) -> None:
     path = archive.folder / "archive.json"
     for text in ("{}", "[1]", '{"format": "x"}'):
         path.write_text(text)
-        with refuses(FileFormatError):
+        with pytest.raises(FileFormatError, match=r"archive\.json: does not describe an archive"):
             scoup.Archive(archive.folder)
     path.unlink()
     with refuses(FileFormatError):

@@ -480,3 +480,10 @@ def opened(viewed: ViewedField, **options: Any) -> Viewer:
     from scoup.view.viewer import Viewer
 
     return Viewer(viewed, **{"port": 0, **options})
+
+
+@contextmanager
+def served(browser: Browser, viewed: ViewedField, **options: Any) -> Iterator[Visit]:
+    """A visitor of a viewer of its own."""
+    with opened(viewed, **options) as viewer, visiting(browser, viewer.address) as visit:
+        yield visit

@@ -22,9 +22,9 @@ from browser_support import (
     both_pages,
     difference,
     field_of_instances,
-    opened,
     places_in,
     render,
+    served,
     table,
     views,
     visiting,
@@ -203,7 +203,7 @@ def test_phrases_light_up_things(browser: Browser) -> None:
     named = replace(things, owners=owners, embeddings=embeddings)
     field = altered(field, thing_table=named, words=table())
     viewed = ViewedField(field)
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         for text, count in (("mug right of the kettle", 60), ("kettle and not book", 60)):
             visit.ask(text)
             mask = field.answer(text).mask

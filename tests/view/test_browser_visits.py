@@ -20,6 +20,7 @@ from browser_support import (
     places_in,
     render,
     selected_by_votes,
+    served,
     table,
     things_field,
     views,
@@ -115,7 +116,7 @@ def test_the_exact_picture_is_the_methods_own(
 def test_remote_pages_show_pictures_of_the_server_only(
     browser: Browser, viewed: ViewedField, camera: Camera, tmp_path: Path
 ):
-    with opened(viewed, remote=True) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed, remote=True) as visit:
         assert difference(visit.picture(), viewed.picture(camera)) < ALIKE
         visit.ask("kettle")
         assert difference(visit.picture(), exact(viewed, camera, visit, "heat")) < ALIKE

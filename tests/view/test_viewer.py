@@ -64,7 +64,7 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
         assert first.address.startswith("http://127.0.0.1:")
     assert PORT > 1024
     for host in ("192.0.2.1", "no such host"):
-        with pytest.raises(InputError, match="is not a host|[Cc]annot assign"):
+        with pytest.raises(InputError, match=r"is not a host|[Cc]annot assign"):
             Viewer(viewed_field(), host=host, port=0)
 
 
