@@ -127,9 +127,7 @@ def many(fifty: Fields, tmp_path_factory: pytest.TempPathFactory) -> scoup.Archi
     ("mug or ball", range(30, 51)), ("mug and lamp", range(1, 50)), ("pen left of the laptop", range(1, 30)),
     ("word 3", range(1, 50)),
 ])  # fmt: skip
-def test_fifty_scans_answer_as_their_fields(
-    many: scoup.Archive, fifty: Fields, question: str, scans: range
-) -> None:
+def test_fifty_scans_answer(many: scoup.Archive, fifty: Fields, question: str, scans: range) -> None:
     found = asked_as_the_fields(many, fifty, question)
     assert len({each.scan for each in found}) in scans
 

@@ -93,9 +93,7 @@ def found_by(archive: scoup.Archive) -> list[dict[str, Any]]:
     return [each.to_dict() for each in archive.find("mug")]
 
 
-def test_a_killed_writer_leaves_an_archive_that_answers(
-    archive: scoup.Archive, fields: Fields, monkeypatch
-) -> None:
+def test_a_killed_writer_leaves_an_archive(archive: scoup.Archive, fields: Fields, monkeypatch) -> None:
     wanted = found_by(archive)
     for step in ("write_vectors", "write_scan"):
 
@@ -112,9 +110,7 @@ def test_a_killed_writer_leaves_an_archive_that_answers(
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
-def test_a_damaged_matrix_is_named_and_written_again(
-    archive: scoup.Archive, fields: Fields, damage: str
-) -> None:
+def test_a_damaged_matrix_is_named(archive: scoup.Archive, fields: Fields, damage: str) -> None:
     wanted, matrix = found_by(archive), archive.folder / MATRIX
     data = bytearray(matrix.read_bytes())
     data[len(data) // 2] ^= 1
@@ -184,7 +180,7 @@ def test_scans_are_listed_again_if_one_has_gone(archive: scoup.Archive, monkeypa
 
 
 @pytest.mark.parametrize("is_before", [True, False])
-def test_things_are_of_the_files_that_a_condition_holds_for(
+def test_things_are_of_the_files_of_a_condition(
     archive: scoup.Archive, fields: Fields, monkeypatch, is_before: bool
 ) -> None:
     floors, asked, matching = [7], list[list[str]](), scoup.Archive._wanted
@@ -289,7 +285,7 @@ COLUMNS = [
     *(partial(rewrite, change=change) for change in HEADERS),
     *(partial(rewrite, change=no_change, column=column) for column in COLUMNS),
 ])  # fmt: skip
-def test_a_damaged_scan_is_named_and_replaced(
+def test_a_damaged_scan_is_named(
     archive: scoup.Archive, fields: Fields, damage: Callable[[Path], Any]
 ) -> None:
     damage(archive.folder / "office.parquet")

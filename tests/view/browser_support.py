@@ -84,8 +84,7 @@ def table() -> dict[str, Tensor]:
     # Orthogonal, as long as there are dimensions.
     vectors = torch.linalg.qr(vectors[:DIM].T).Q.T
     found = dict(zip(names, vectors, strict=True))
-    found[MIXED] = unit(0.9 * found["kettle"] + 0.42 * found["mug"])
-    return found
+    return found | {MIXED: unit(0.9 * found["kettle"] + 0.42 * found["mug"])}
 
 
 def things_field() -> LanguageField:
@@ -147,15 +146,9 @@ def coded(
     k: int = 4,
     n_others: int = 10,
 ) -> LanguageField:
-    """A field whose Gaussians mostly mean one atom each, ``main`` [N, S], and a little of others.
+    """A field whose Gaussians mostly mean one atom each, and a little of others.
 
-    Args:
-        gaussians: to be given codes.
-        main: [N, S] places in ``THINGS`` and then ``GROUPS``.
-        generator: of what is drawn.
-        cameras: of the field.
-        k: atoms of a code.
-        n_others: atoms of no thing.
+    ``main`` [N, S] are places in ``THINGS`` and then ``GROUPS``; codes have ``k`` atoms, ``n_others`` are of no thing.
     """
     names = [*THINGS, *GROUPS]
     others = unit(torch.randn(n_others, DIM, generator=generator))
@@ -205,16 +198,12 @@ PIXELS = """id => {
 }"""
 SIZE = (720, 300)
 """Of the window; 400 x 300 of it are the picture."""
+FRONT = views()[0].resized(400, 300)
+"""The camera that the page opens with, in the size of its picture."""
 
 
 class Visit:
-    """A page that is open, and what went wrong in it.
-
-    Attributes:
-        page: of playwright.
-        problems: what the page's console calls an error or a warning, and what it threw.
-        requests: addresses that were asked for.
-    """
+    """A page that is open, the addresses it asked for, and its problems: errors and warnings of its console."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -332,12 +321,7 @@ def visiting(
 ) -> Iterator[Visit]:
     """A visitor of its own at an address; what went wrong, and any request to elsewhere, is a failure.
 
-    Args:
-        browser: where the visitor comes from.
-        address: of the page.
-        size: of the window.
-        offline: without a network.
-        options: of the browser's context.
+    ``offline`` is without a network; other options are of the browser's context.
     """
     if options:
         context = browser.new_context(**options)
@@ -369,13 +353,12 @@ def places_in(camera: Camera | None = None) -> dict[str, tuple[float, float]]:
     return found
 
 
-def patches(picture: Picture, side: int = 4) -> dict[str, NDArray[np.float64]]:
+def patches(picture: Picture) -> dict[str, NDArray[np.float64]]:
     """The pixels in the middle of each thing, [P, 3]."""
-    height, width = picture.shape[:2]
-    found = {}
+    (height, width), found = picture.shape[:2], {}
     for name, (x, y) in places_in().items():
         row, column = round(y * height), round(x * width)
-        cut = picture[row - side : row + side + 1, column - side : column + side + 1]
+        cut = picture[row - 4 : row + 5, column - 4 : column + 5]
         found[name] = cut.reshape(-1, 3).astype(np.float64)
     return found
 
@@ -383,7 +366,7 @@ def patches(picture: Picture, side: int = 4) -> dict[str, NDArray[np.float64]]:
 def render(viewed: ViewedField, mask: Tensor | None = None, camera: Camera | None = None) -> Picture:
     """The picture of some of the Gaussians by our own rasteriser, by default from where the page opens."""
     gaussians = viewed.gaussians if mask is None else viewed.gaussians.select(mask)
-    return as_picture(raster.render_colors(gaussians, camera or views()[0].resized(400, 300)))
+    return as_picture(raster.render_colors(gaussians, camera or FRONT))
 
 
 def selected_by_votes(

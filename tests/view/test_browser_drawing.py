@@ -69,9 +69,7 @@ def whole_scene(visit: Visit, whole: Picture, count: int) -> None:
 
 
 @pytest.mark.usefixtures("in_parts")
-def test_a_large_scene_is_seen_coarsely_first(
-    browser: Browser, whole: Picture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_scene_is_seen_coarsely_first(browser: Browser, whole: Picture, monkeypatch) -> None:
     viewed = ViewedField(things_field().with_encoder(table()))
     assert viewed.n_parts > 1
     held, busy = threading.Event(), [True]
@@ -150,9 +148,7 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
 
 
 @pytest.mark.usefixtures("in_parts")
-def test_an_exported_page_loads_its_parts_one_by_one(
-    browser: Browser, whole: Picture, tmp_path: Path
-) -> None:
+def test_an_exported_page_loads_its_parts(browser: Browser, whole: Picture, tmp_path: Path) -> None:
     viewed = ViewedField(things_field().with_encoder(table()))
     export_page(viewed, tmp_path / "page", split=True)
     with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
@@ -244,9 +240,7 @@ UNFINISHED = """() => {
 """Lets no frame be finished before ``window.finished``."""
 
 
-def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_browsers_draw_less_while_the_camera_moves(browser: Browser, monkeypatch) -> None:
     monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
     viewed = ViewedField(things_field().with_encoder(table()))
     with served(browser, viewed) as visit:

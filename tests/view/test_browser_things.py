@@ -77,9 +77,7 @@ def selected(
     return next(iter(each_answer(viewed.field, question))).mask
 
 
-def test_things_of_a_text_light_up_and_get_an_outline(
-    visit: Visit, viewed: ViewedField, tmp_path: Path
-) -> None:
+def test_things_light_up_and_get_an_outline(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
     by_things, answer = selected(viewed, "kettle"), viewed.answers(["kettle"])[0]
     by_votes = selected(viewed, "kettle", answer.level, 0.5)
     assert answer.chosen_things is not None
@@ -134,9 +132,7 @@ def test_things_of_a_text_light_up_and_get_an_outline(
 
 
 @both_pages
-def test_texts_are_answered_as_the_library_answers_them(
-    visit: Visit, viewed: ViewedField, tmp_path: Path
-) -> None:
+def test_texts_are_answered_as_by_the_library(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
     # Commands ask what was asked, and exported pages tell it to the page around them.
     text = asked = "kettle and not book"
     targets = []
@@ -377,9 +373,7 @@ def of_thing(viewed: ViewedField, number: int) -> torch.Tensor:
     return (table.owners == number).any(1)
 
 
-def test_things_are_named_measured_hidden_and_saved(
-    visit: Visit, viewed: ViewedField, tmp_path: Path
-) -> None:
+def test_things_are_named_hidden_and_saved(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
     visit.tab("Things")
     rows = visit.page.locator("#thing-list button")
     rows.first.wait_for()

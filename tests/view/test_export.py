@@ -123,8 +123,8 @@ def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.M
     )
 
 
-def test_nothing_is_overwritten_unasked_or_left_half_written(
-    viewed: ViewedField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_nothing_is_overwritten_unasked_or_half_written(
+    viewed: ViewedField, tmp_path: Path, monkeypatch
 ) -> None:
     out = tmp_path / "scene.html"
     out.write_text("mine")

@@ -52,9 +52,7 @@ def in_parts(monkeypatch: pytest.MonkeyPatch) -> ViewedField:
     return viewed_field(count=80)
 
 
-def test_the_first_picture_is_packed_before_anybody_asks(
-    viewed: ViewedField, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_picture_is_packed_at_once(viewed: ViewedField, monkeypatch) -> None:
     packed = threading.Event()
     monkeypatch.setattr(viewed, "scene", packed.set)
     application(viewed, PAGE, Guard.of("127.0.0.1"))
