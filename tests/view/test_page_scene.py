@@ -10,7 +10,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from view_samples import field_with_things, random_field, splat_of, table, unpacked, viewed_field
+from view_samples import (
+    field_with_things,
+    random_field,
+    shown_relevancy,
+    splat_of,
+    table,
+    unpacked,
+    viewed_field,
+)
 
 from messages import refuses
 from scoup.scene.cameras import Camera, Cameras
@@ -44,14 +52,8 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     viewed = viewed_field(count=150, k=5)
     tensors, metadata = unpacked(viewed.scene())
     rows = decimate(viewed.gaussians).rows
-    answer = viewed.answers(["thing 3"])[0]
-    weights = tensors["code_weights"] / 65535 * metadata["weights_scale"]  # [S, K, N]
-    found = []
-    for level in range(2):
-        own, indices = weights[level], tensors["code_indices"][level].astype(int)
-        cosine = (own * answer.scores.numpy()[level][indices]).sum(0)
-        canonical = (own[None] * tensors["canonical"][level][:, indices]).sum(1).max(0)
-        found.append(1 / (1 + np.exp(-10 * (cosine - canonical))))
+    scores = viewed.answers(["thing 3"])[0].scores.numpy()
+    found = [shown_relevancy(tensors, metadata, tensors["canonical"], scores, level) for level in (0, 1)]
     texts = viewed.question(["thing 3"])
     wanted = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[:, 0, rows]
     assert np.abs(np.stack(found) - wanted.numpy()).max() < 2e-3

@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from view_samples import field_with_things, random_field, splat_of, table, unpacked
+from view_samples import field_with_things, random_field, shown_relevancy, splat_of, table, unpacked
 
 from messages import refuses
 from scoup.query.language_field import LanguageField
@@ -105,11 +105,7 @@ def test_coarse_gaussians_answer_as_all_do() -> None:
 
     def relevancies(tensors: dict[str, np.ndarray], own: dict, scores: np.ndarray) -> dict[int, set[float]]:
         """By the place of the Gaussians."""
-        weights = tensors["code_weights"][0] / 65535 * own["weights_scale"]
-        indices = tensors["code_indices"][0].astype(int)
-        cosine = (weights * scores[0][indices]).sum(0)
-        canonical = (weights * first["canonical"][0][:, indices]).sum(1).max(0)
-        found = 1 / (1 + np.exp(-10 * (cosine - canonical)))
+        found = shown_relevancy(tensors, own, first["canonical"], scores, 0)
         place = np.rint(splat_of(tensors, own).means[:, 0].numpy() / 50)
         return {int(each): set(found[place == each].round(5)) for each in np.unique(place)}
 

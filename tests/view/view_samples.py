@@ -121,3 +121,18 @@ def splat_of(tensors: dict[str, np.ndarray], metadata: dict[str, Any]) -> Gaussi
     colors = (tensors["colors"].T / 255 - 0.5) / 0.28209479177387814
     arrays = means, quats, scales, tensors["opacities"] / 255, colors[:, None]
     return Gaussians(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
+
+
+def shown_relevancy(
+    tensors: dict[str, np.ndarray],
+    metadata: dict[str, Any],
+    canonical: np.ndarray,
+    scores: np.ndarray,
+    level: int,
+) -> np.ndarray:
+    """[N] relevancy of the Gaussians as the page counts it."""
+    weights = tensors["code_weights"][level] / 65535 * metadata["weights_scale"]  # [K, N]
+    indices = tensors["code_indices"][level].astype(int)
+    cosine = (weights * scores[level][indices]).sum(0)
+    rivals = (weights * canonical[level][:, indices]).sum(1).max(0)
+    return 1 / (1 + np.exp(-10 * (cosine - rivals)))
