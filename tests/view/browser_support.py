@@ -30,9 +30,9 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.things import NO_THING, ThingTable
+from scoup.scene.things import NO_THING
 from scoup.view.page import PAGE_FOLDER
-from support import unit
+from support import things_of, unit
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
@@ -117,15 +117,13 @@ def field_of_instances() -> LanguageField:
     names = list(THINGS)[:3]
     owners = torch.stack([torch.where(main < 0, NO_THING, main + shift) for shift in (0, 3, 6)], 1)
     count = 3 * len(names)
-    field.thing_table = ThingTable(
-        owners.int(),
-        torch.arange(3, dtype=torch.uint8).repeat_interleave(len(names)),
-        torch.tensor([3, 4, 5, 6, 7, 8, *[NO_THING] * 3], dtype=torch.int32),
-        torch.stack([table()[name] for name in names * 3]).half(),
-        torch.full((count,), 0.6),
-        torch.full((count,), 9, dtype=torch.int32),
-        torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
-        torch.ones(count),
+    field.thing_table = things_of(
+        owners,
+        torch.arange(3).repeat_interleave(len(names)),
+        torch.stack([table()[name] for name in names * 3]),
+        parents=torch.tensor([3, 4, 5, 6, 7, 8, *[NO_THING] * 3], dtype=torch.int32),
+        agreement=torch.full((count,), 0.6),
+        mass=torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
     )
     return field
 

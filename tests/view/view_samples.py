@@ -18,10 +18,9 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING, ThingTable
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
-from support import altered, make_camera, random_gaussians, unit
+from support import altered, make_camera, random_gaussians, things_of, unit
 
 DIM = 12
 THINGS_OF_A_LEVEL = 5
@@ -64,17 +63,12 @@ def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageFiel
     number = torch.randint(-1, THINGS_OF_A_LEVEL, (count, 2), generator=generator)
     owners = torch.where(number < 0, -1, number + torch.tensor([0, THINGS_OF_A_LEVEL]))
     vectors = torch.stack([table()[name] for name in WORDS[: len(levels)]])
-    things = ThingTable(
-        owners.int(),
-        levels.to(torch.uint8),
-        torch.full((len(levels),), NO_THING, dtype=torch.int32),
-        unit(vectors + 0.1 * torch.randn(vectors.shape, generator=generator)).half(),
-        torch.full((len(levels),), agreement),
-        torch.full((len(levels),), 5, dtype=torch.int32),
-        torch.rand(len(levels), generator=generator) + 0.5,
-        torch.ones(len(levels)),
-    )
-    return altered(field, thing_table=things)
+    embeddings = unit(vectors + 0.1 * torch.randn(vectors.shape, generator=generator))
+    parts = {
+        "agreement": torch.full((len(levels),), agreement),
+        "mass": torch.rand(len(levels), generator=generator) + 0.5,
+    }
+    return altered(field, thing_table=things_of(owners, levels, embeddings, **parts))
 
 
 @cache
