@@ -17,6 +17,7 @@ from PIL import Image
 import scoup
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
+from messages import refuses, warns
 from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
@@ -34,44 +35,38 @@ from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 
+Fields = dict[str, LanguageField]
 
-@pytest.mark.parametrize(
-    "question",
-    [
-        "mug",
-        "lamp",
-        ABSENT,
-        "mug or ball",
-        "mugs",
-        "mug left of the laptop",
-        "largest mug",
-        "pen or mug on the table",
-    ],
-)
-def test_answers_are_those_of_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField], question: str
-) -> None:
-    found = archive.find(question, top=1000)
-    assert_answers_are_those_of(found, fields, question)
-    for top in (1, 2):
-        assert [(each.scan, each.thing) for each in archive.find(question, top=top)] == [
-            (each.scan, each.thing) for each in found[:top]
-        ]
+
+@pytest.mark.parametrize("question", [
+    "mug", "lamp", ABSENT, "mug or ball", "mugs", "mug left of the laptop", "largest mug", "pen or mug on the table",
+])  # fmt: skip
+def test_answers_are_those_of_the_fields(archive: scoup.Archive, fields: Fields, question: str) -> None:
+    found = asked_as_the_fields(archive, fields, question)
     assert bool(found) == (question != ABSENT)
-    ordered = [rank_of([each.score], lead_of(fields[each.scan], each))[0] for each in found]
+
+
+def asked_as_the_fields(archive: scoup.Archive, fields: Fields, question: str) -> list[FoundThing]:
+    """What is found, checked to be the fields' answers, the best ones first."""
+
+    def rank(found: FoundThing) -> float:
+        field = fields[found.scan]
+        question = field.question(found.text)
+        index = thing_index(field, question)
+        assert index is not None
+        return float(rank_of([found.score], index.leads(index.fits(question.queries))[found.thing])[0])
+
+    found = archive.find(question, top=10_000)
+    assert_answers_are_those_of(found, fields, question)
+    ordered = [rank(each) for each in found]
     assert ordered == sorted(ordered, reverse=True)
+    for top in (1, 3):
+        best = [(each.scan, each.thing) for each in archive.find(question, top=top)]
+        assert best == [(each.scan, each.thing) for each in found[:top]]
+    return found
 
 
-def lead_of(field: LanguageField, found: FoundThing) -> torch.Tensor:
-    question = field.question(found.text)
-    index = thing_index(field, question)
-    assert index is not None
-    return index.leads(index.fits(question.queries))[found.thing]
-
-
-def assert_answers_are_those_of(
-    found: list[FoundThing], fields: dict[str, LanguageField], question: str
-) -> None:
+def assert_answers_are_those_of(found: list[FoundThing], fields: Fields, question: str) -> None:
     for name, field in fields.items():
         mine = {each.thing: each for each in found if each.scan == name}
         things = field.things(question)
@@ -87,9 +82,7 @@ def assert_answers_are_those_of(
 
 
 @pytest.fixture(scope="module")
-def fifty(
-    fields: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, LanguageField]:
+def fifty(fields: Fields, tmp_path_factory: pytest.TempPathFactory) -> Fields:
     """Saved fields of fifty rooms: other boxes and doubtful things in each, wholes in some, names in some."""
     folder, made = tmp_path_factory.mktemp("fifty"), {}
     encoder = fields["office"].encoder
@@ -120,41 +113,24 @@ def fifty(
 
 
 @pytest.fixture(scope="module")
-def many(fifty: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
+def many(fifty: Fields, tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
     made = scoup.Archive(tmp_path_factory.mktemp("many"), next(iter(fifty.values())).encoder)
     for field in fifty.values():
         made.add(field)
     return made
 
 
-@pytest.mark.parametrize(
-    ("question", "scans"),
-    [
-        ("mug", range(30, 50)),
-        ("lamp", range(20, 50)),
-        ("apple", range(20, 51)),
-        (ABSENT, range(1, 30)),
-        ("mug or ball", range(30, 51)),
-        ("mug and lamp", range(1, 50)),
-        ("pen left of the laptop", range(1, 30)),
-        ("word 3", range(1, 50)),
-    ],
-)
-def test_fifty_scans_answer_as_their_fields(
-    many: scoup.Archive, fifty: dict[str, LanguageField], question: str, scans: range
-) -> None:
-    found = many.find(question, top=10_000)
-    assert_answers_are_those_of(found, fifty, question)
+@pytest.mark.parametrize(("question", "scans"), [
+    ("mug", range(30, 50)), ("lamp", range(20, 50)), ("apple", range(20, 51)), (ABSENT, range(1, 30)),
+    ("mug or ball", range(30, 51)), ("mug and lamp", range(1, 50)), ("pen left of the laptop", range(1, 30)),
+    ("word 3", range(1, 50)),
+])  # fmt: skip
+def test_fifty_scans_answer(many: scoup.Archive, fifty: Fields, question: str, scans: range) -> None:
+    found = asked_as_the_fields(many, fifty, question)
     assert len({each.scan for each in found}) in scans
-    ordered = [rank_of([each.score], lead_of(fifty[each.scan], each))[0] for each in found]
-    assert ordered == sorted(ordered, reverse=True)
-    first = [(each.scan, each.thing) for each in found]
-    assert [(each.scan, each.thing) for each in many.find(question, top=3)] == first[:3]
 
 
-def test_things_are_counted_as_in_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_things_are_counted_as_in_the_fields(archive: scoup.Archive, fields: Fields, tmp_path: Path) -> None:
     places = torch.arange(len(fields["office"].gaussians))
     few = fields["office"][(places < 1000) | (places % 30 == 0)]  # later things keep less than ten Gaussians
     few.save(tmp_path / "few.scoup")
@@ -165,9 +141,7 @@ def test_things_are_counted_as_in_the_fields(
     assert 0 < counts["few"] < len(few.thing_table)
 
 
-def test_names_that_a_model_gave_answer_as_in_the_field(
-    fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_names_that_a_model_gave_answer_as_in_the_field(fields: Fields, tmp_path: Path) -> None:
     encoder = fields["office"].encoder
     assert encoder.names is not None
     table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
@@ -182,13 +156,8 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     field = altered(field, thing_table=things, info=info, words=table)
     field.save(tmp_path / "named.scoup")
     archive.add(field)
-    asked = {
-        "mug": {MUG},  # without the names, the other, too
-        "beaker": {MUG},
-        "lamp": {LAMP},
-        ABSENT: set(),
-        "pen": set(),
-    }
+    # Without the names, "mug" would find the other, too.
+    asked = {"mug": {MUG}, "beaker": {MUG}, "lamp": {LAMP}, ABSENT: set(), "pen": set()}
     for question in (*asked, "mugs", "mug left of the laptop", "pen or lamp"):
         found = archive.find(question)
         assert_answers_are_those_of(found, {"named": field}, question)
@@ -197,7 +166,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert archive.find("mug")[0].score == pytest.approx(field.answer("mug").score)
     field.thing_table = replace(things, names=names_of({"mug": {BALL: 0.6}}, {"mug": 0.9}))
     field.save(tmp_path / "named.scoup", overwrite=True)
-    with pytest.warns(ScoupWarning, match="the field of scan named has changed"):
+    with warns(ScoupWarning):
         archive.find("mug left of the laptop")
     none = torch.zeros(0, dtype=torch.int32)
     in_vain = NameTable(("mug",), torch.tensor([0.1]), none, none, none.float())
@@ -207,9 +176,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")
 
 
-def test_scans_and_things_are_chosen_by_their_columns(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive, fields: Fields) -> None:
     found = archive.find("lamp", where="floor >= 1 and city = 'Graz'")
     assert {each.scan for each in found} == {"kitchen", "hall"}
     assert found[0].columns == {"floor": int(found[0].scan == "hall") + 1, "city": "Graz"}
@@ -238,9 +205,7 @@ def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, 
         archive.find("mug", where=where)
 
 
-def test_a_field_that_left_or_changed_answers_no_phrase(
-    fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_a_field_that_left_or_changed_answers_no_phrase(fields: Fields, tmp_path: Path) -> None:
     archive, paths = scoup.Archive(tmp_path / "a"), [tmp_path / "one.scoup", tmp_path / "two.scoup"]
     field, phrase = planted_room(), "mug left of the laptop"
     field.info = replace(field.info, embedding_model="some/model", words=fields["office"].info.words)
@@ -251,35 +216,32 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
     assert field.thing_table is not None
     field.thing_table = replace(field.thing_table, embeddings=field.thing_table.embeddings.flip(0))
     field.save(paths[0], overwrite=True)
-    with pytest.warns(ScoupWarning, match=r"^the field of scan one has changed: .*one\.scoup; add it again$"):
+    with warns(ScoupWarning):
         assert {each.scan for each in archive.find(phrase)} == {"two"}
     paths[1].unlink()
-    gone = r"the field of scan two is gone: .*two\.scoup; put it back or add the field again$"
     for at_least in (None, 1):
-        with pytest.warns(ScoupWarning, match="scan one has changed"), pytest.raises(InputError, match=gone):
+        with warns(ScoupWarning), refuses():
             archive.find(phrase, at_least=at_least)
     archive.remove("one")
     assert "is gone" in refused("archive", archive.folder, phrase, folder=tmp_path)
     assert {each.scan for each in archive.find("mug")} == {"two"}
 
 
-def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField], tmp_path: Path) -> None:
+def test_a_page_has_no_pictures_of_what_is_gone(fields: Fields, tmp_path: Path) -> None:
     path = Path(shutil.copy(str(fields["office"].path), tmp_path / "moved.scoup"))
     archive = scoup.Archive(tmp_path / "a", fields["office"].encoder)
     archive.add(path)
     found = archive.find("mug")
     moved = [replace(found[0], position=found[0].position + 1), replace(found[1], thing=999)]
-    with pytest.warns(ScoupWarning, match="has changed"):
+    with warns(ScoupWarning):
         assert "<img" not in results_page("mug", moved, tmp_path / "page.html")
     path.unlink()
-    with pytest.warns(ScoupWarning, match=r"no pictures of the scan moved: .*moved\.scoup"):
+    with warns(ScoupWarning):
         page = results_page("<mug>", found, tmp_path / "page.html")
     assert ("<img" not in page, page.count("<li>"), "<h1>&lt;mug&gt;</h1>" in page) == (True, 2, True)
 
 
-def test_other_words_give_the_answers_of_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_other_words_give_the_answers_of_the_fields(archive: scoup.Archive, fields: Fields) -> None:
     """Statistics of the words that were known when scans were added are not used for others."""
     known = fields["office"].encoder
     assert known.names is not None
@@ -292,7 +254,7 @@ def test_other_words_give_the_answers_of_the_fields(
     ]
 
 
-def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch) -> None:
     pytest.importorskip("transformers", reason="transformers is not installed")
     from tiny_models import saved, tiny_clip
 
@@ -318,10 +280,10 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         assert (found[0].thing, len(found), found[0].text) == (thing, 3, f"{thing}.png")
         assert found[0].score == pytest.approx(1, abs=2e-3)
         with Image.open(f"{thing}.png") as opened:
-            by_pixels = [
-                each.to_dict() | {"text": found[0].text} for each in archive.find_image(opened, top=3)
-            ]
-        assert by_pixels == [each.to_dict() for each in found]
+            by_pixels = archive.find_image(opened, top=3)
+        assert [replace(each, text=found[0].text).to_dict() for each in by_pixels] == [
+            each.to_dict() for each in found
+        ]
     assert [each.thing for each in archive.find_image(f"{BALL}.png", "thing > 3", 1)] == [BALL]
     assert archive.find_image(f"{LAMP}.png", "floor = 2") == []
     save_table("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
@@ -331,17 +293,9 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
     tool, image = archive_tool(archive), base64.b64encode(Path(f"{MUG}.png").read_bytes()).decode()
     told = tool(image=image, limit=2)["things"]
     assert [each["thing"] for each in told] == [each["thing"] for each in wanted]
-    no_picture = "^`image` is not a JPEG or PNG; pass a picture in base64$"  # without a path
-    for arguments, said in (
-        ({"image": "?"}, no_picture),
-        ({"image": "aaaa"}, no_picture),
-        ({"image": image[:400]}, no_picture),
-        ({"image": image, "text": "mug"}, "without `image`"),
-        ({"image": "", "text": "mug"}, "without `image`"),
-        ({"image": ""}, "expected an image or a text"),
-        ({}, "expected an image or a text"),
-    ):
-        with pytest.raises(InputError, match=said):
+    wrong = [*({"image": each} for each in ("?", "aaaa", image[:400], "")), {}]
+    for arguments in (*wrong, {"image": image, "text": "mug"}, {"image": "", "text": "mug"}):
+        with refuses():
             tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
     index = ThingIndex.of(field.thing_table, encoder.everyday())
@@ -358,23 +312,21 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)
 
 
-def test_an_image_needs_an_embedder_of_images(
-    archive: scoup.Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_needs_an_embedder_of_images(archive: scoup.Archive, tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "a.png"
     Image.new("RGB", (20, 30)).save(path)
     with pytest.raises(InputError, match=r"some/model .*embeds no image here .*cannot be loaded"):
         archive.find_image(path)
     monkeypatch.setattr("scoup.extract.registry.open_embedder", lambda name: PlainColors())
-    with pytest.raises(InputError, match=r"32 dimensions.*embeds no image here \(it has 72 dimensions"):
+    with refuses():
         archive.find_image(path)
-    with pytest.raises(InputError, match="contains no scan"):
+    with refuses():
         scoup.Archive(tmp_path / "nothing").find_image(path)
-    with pytest.raises(InputError, match="`top`"):
+    with refuses():
         archive.find_image(path, top=0)
 
 
-def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     paths = [field.path for field in fields.values()]
     added = run_json("archive", "a", "--add", *paths, "--set", "floor=2", "--set", "city=Graz")

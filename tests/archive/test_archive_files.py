@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,46 +17,41 @@ import pytest
 import torch
 
 import scoup
+from messages import refuses
 from query import planted_room as planted
 from query.planted_room import planted_room
 from scoup.archive import archive as archive_module
 from scoup.archive import kept_scans
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
-from scoup.base import FileFormatError, InputError, UnknownNameError
-from scoup.models import TextEncoder
-from scoup.query import LanguageField
+from scoup.base.errors import FileFormatError, UnknownNameError
+from scoup.models.text import TextEncoder
+from scoup.query.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 
+Fields = dict[str, LanguageField]
 
-def test_a_scan_is_replaced_and_removed(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+
+def test_a_scan_is_replaced_and_removed(archive: scoup.Archive, fields: Fields, tmp_path: Path) -> None:
     before = archive.find("mug")
     archive.add(fields["office"], floor=7)
     assert archive.scans()["office"].columns == {"floor": 7, "city": "Graz"}
     assert [each.thing for each in archive.find("mug")] == [each.thing for each in before]
     archive.remove("office")
     assert {each.scan for each in archive.find("mug")} == {each.scan for each in before} - {"office"}
-    assert sorted(path.name for path in archive.folder.iterdir()) == [
-        "archive.json",
-        "hall.parquet",
-        "kitchen.parquet",
-        MATRIX,
-    ]
-    with pytest.raises(UnknownNameError, match="no scan named 'ofice'"):
+    names = {path.name for path in archive.folder.iterdir()}
+    assert names == {"archive.json", "hall.parquet", "kitchen.parquet", MATRIX}
+    with refuses(UnknownNameError):
         archive.remove("ofice")
     copy = tmp_path / "hall.scoup"
     fields["hall"].save(copy)
     fields["hall"].path = archive.scans()["hall"].field_path
-    with pytest.raises(InputError, match=r"is of .*rename one"):
+    with refuses():
         archive.add(copy)
 
 
-def test_what_has_not_changed_is_read_once(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_has_not_changed_is_read_once(archive: scoup.Archive, fields: Fields, monkeypatch) -> None:
     read: list[list[str]] = []
 
     def reading(files: Sequence[Path], connection: Any) -> list[Scan]:
@@ -78,9 +74,7 @@ def rows_of(archive: scoup.Archive) -> dict[str, range]:
     return {name: range(scan.row, scan.row + len(scan)) for name, scan in archive.scans().items()}
 
 
-def test_rows_of_scans_that_left_are_used_again(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_rows_of_scans_that_left_are_used_again(archive: scoup.Archive, fields: Fields) -> None:
     matrix = archive.folder / MATRIX
     wanted, before, size = found_by(archive), rows_of(archive), matrix.stat().st_size
     assert size == 2 * planted.DIM * sum(map(len, before.values()))
@@ -99,9 +93,7 @@ def found_by(archive: scoup.Archive) -> list[dict[str, Any]]:
     return [each.to_dict() for each in archive.find("mug")]
 
 
-def test_a_killed_writer_leaves_an_archive_that_answers(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_writer_leaves_an_archive(archive: scoup.Archive, fields: Fields, monkeypatch) -> None:
     wanted = found_by(archive)
     for step in ("write_vectors", "write_scan"):
 
@@ -118,16 +110,14 @@ def test_a_killed_writer_leaves_an_archive_that_answers(
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
-def test_a_damaged_matrix_is_named_and_written_again(
-    archive: scoup.Archive, fields: dict[str, LanguageField], damage: str
-) -> None:
+def test_a_damaged_matrix_is_named(archive: scoup.Archive, fields: Fields, damage: str) -> None:
     wanted, matrix = found_by(archive), archive.folder / MATRIX
     data = bytearray(matrix.read_bytes())
     data[len(data) // 2] ^= 1
-    matrix.unlink() if damage == "remove" else matrix.write_bytes(
-        data if damage == "flip" else cut(bytes(data))
-    )
-    with pytest.raises(FileFormatError, match=r"vectors\.f16: .* scan \w+ in it are damaged; add the field"):
+    matrix.write_bytes(data if damage == "flip" else data[: len(data) // 2])
+    if damage == "remove":
+        matrix.unlink()
+    with refuses(FileFormatError):
         scoup.Archive(archive.folder).find("mug")
     assert set(scoup.Archive(archive.folder).scans()) == set(fields)
     for floor, name in enumerate(fields):
@@ -144,9 +134,7 @@ def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no file that is open")
-def test_threads_ask_while_scans_are_removed_and_replaced(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
+def test_threads_ask_while_scans_are_removed_and_replaced(archive: scoup.Archive, fields: Fields) -> None:
     files = sorted(archive.folder.glob("*.parquet"))[:2]
     contents = [file.read_bytes() for file in files]
     done, errors = threading.Event(), list[Exception]()
@@ -176,9 +164,7 @@ def test_threads_ask_while_scans_are_removed_and_replaced(
     assert {each.scan for each in archive.find("lamp")} == set(fields)
 
 
-def test_scans_are_listed_again_if_one_has_gone(
-    archive: scoup.Archive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scans_are_listed_again_if_one_has_gone(archive: scoup.Archive, monkeypatch) -> None:
     gone = ["office"]
 
     def reading(files: Sequence[Path], connection: Any) -> list[Scan]:
@@ -194,11 +180,8 @@ def test_scans_are_listed_again_if_one_has_gone(
 
 
 @pytest.mark.parametrize("is_before", [True, False])
-def test_things_are_of_the_files_that_a_condition_holds_for(
-    archive: scoup.Archive,
-    fields: dict[str, LanguageField],
-    monkeypatch: pytest.MonkeyPatch,
-    is_before: bool,
+def test_things_are_of_the_files_of_a_condition(
+    archive: scoup.Archive, fields: Fields, monkeypatch, is_before: bool
 ) -> None:
     floors, asked, matching = [7], list[list[str]](), scoup.Archive._wanted
 
@@ -223,100 +206,83 @@ def test_things_are_of_the_files_that_a_condition_holds_for(
     assert {each.scan for each in archive.find("lamp", "floor != 1")} == {"hall"}
 
 
-def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
+def test_two_writers_lose_nothing(fields: Fields, tmp_path: Path) -> None:
     paths = [str(field.path) for field in fields.values()] * 2
     run_threads([lambda path=path: scoup.Archive(tmp_path / "a").add(path) for path in paths])
     assert set(scoup.Archive(tmp_path / "a").scans()) == set(fields)
 
 
-def test_what_does_not_fit_is_refused(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
+def test_what_does_not_fit_is_refused(archive: scoup.Archive, fields: Fields, tmp_path: Path) -> None:
     field = planted_room()
-    with pytest.raises(InputError, match="is not saved"):
+    with refuses():
         archive.add(field)
-    for change, said in (
-        ({"embedding_model": "other/model"}, "other/model .*some/model .*archive per embedding model"),
-        ({"embedding_model": "some/model"}, ""),
-    ):
-        field.info = replace(field.info, **change)
+    for model, expected in (("other/model", refuses()), ("some/model", nullcontext())):
+        field.info = replace(field.info, embedding_model=model)
         field.save(tmp_path / "new.scoup", overwrite=True)
-        if said:
-            with pytest.raises(InputError, match=said):
-                archive.add(field)
-        else:
+        with expected:
             archive.add(field)
     new = scoup.Archive(tmp_path / "new")
-    for columns in (
-        {"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}, {"floor": 2**63}, {"city": "\ud800"},
-    ):  # fmt: skip
-        with pytest.raises(InputError, match="column"):
-            new.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+    columns = ("thing", 1), ("Floor", 1), ("x; drop", 1), ("floor", [1]), ("floor", 2**63), ("city", "\ud800")
+    for name, value in columns:
+        with refuses():
+            new.add(fields["hall"], **{name: value})  # pyright: ignore[reportArgumentType]
     assert not new.folder.exists()
     bare = planted_room(has_things=False)
     bare.save(tmp_path / "bare.scoup")
-    with pytest.raises(InputError, match="has no things"):
+    with refuses():
         archive.add(bare)
-    with pytest.raises(InputError, match="`top`"):
+    with refuses():
         archive.find("mug", top=0)
-    with pytest.raises(InputError, match="dimensions"):
+    with refuses():
         scoup.Archive(archive.folder, TextEncoder.open({"mug": torch.ones(5)})).find("mug")
-    with pytest.raises(InputError, match="there is no such archive"):
+    with refuses():
         scoup.Archive(tmp_path / "nothing").find("mug")
 
 
-def cut(data: bytes | bytearray) -> bytes | bytearray:
-    return data[: len(data) // 2]
-
-
-def changed_header(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
-    """Rewrite a scan with other metadata."""
-
-    def changed(header: dict[str, Any]) -> dict[str, Any]:
-        change(header)
-        return header
-
-    return lambda path: rewrite(path, "", changed)
-
-
-def other_parquet(column: str) -> Callable[[Path], None]:
-    """Rewrite a scan with a column changed, and its metadata as they were."""
-    return lambda path: rewrite(path, column, lambda header: header)
-
-
-def rewrite(path: Path, column: str, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+def rewrite(path: Path, change: Callable[[dict[str, Any]], Any] = len, column: str = "") -> None:
+    """Rewrite a scan with a header that is changed, or with a column that is."""
     import duckdb
 
     connection = duckdb.connect()
     (metadata,) = connection.execute(f"SELECT value FROM parquet_kv_metadata('{path}')").fetchone() or (b"",)
+    header = json.loads(metadata)
+    change(header)
     connection.execute(f"CREATE TABLE t AS SELECT * {column} FROM read_parquet('{path}')")
-    text = json.dumps(changed(json.loads(metadata))).replace("'", "''")
+    text = json.dumps(header).replace("'", "''")
     connection.execute(f"COPY t TO '{path}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda path: path.write_bytes(b""),
-        lambda path: path.write_bytes(cut(path.read_bytes())),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"levels": ["m"]', b'"levels": ["z"]')),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"scoup scan"', b'"scoup scar"')),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9')),
-        changed_header(lambda header: header.pop("arrays")),
-        changed_header(lambda header: header.update(arrays=header["arrays"][:-8])),
-        changed_header(lambda header: header.update(arrays=header["arrays"].replace("A", "B"))),
-        changed_header(lambda header: header.update(levels=[])),
-        changed_header(lambda header: header.update(texts=["mug"])),
-        changed_header(lambda header: header.update(columns={"Floor": 1})),
-        other_parquet("EXCLUDE (position)"),
-        other_parquet("REPLACE ([1.0, 2.0] AS position)"),
-        other_parquet("REPLACE (NULL AS box_axes)"),
-        other_parquet("REPLACE ('text' AS box_extent)"),
-        other_parquet("REPLACE (thing + 100 AS thing)"),
-    ],
-)
-def test_a_damaged_scan_is_named_and_replaced(
-    archive: scoup.Archive, fields: dict[str, LanguageField], damage: Callable[[Path], Any]
+BYTES: list[Callable[[bytes], bytes]] = [
+    lambda data: b"",
+    lambda data: data[: len(data) // 2],
+    lambda data: data.replace(b'"levels": ["m"]', b'"levels": ["z"]'),
+    lambda data: data.replace(b'"scoup scan"', b'"scoup scar"'),
+    lambda data: data.replace(b'"version": 1', b'"version": 9'),
+]
+HEADERS: list[Callable[[dict[str, Any]], Any]] = [
+    lambda header: header.pop("arrays"),
+    lambda header: header.update(arrays=header["arrays"][:-8]),
+    lambda header: header.update(arrays=header["arrays"].replace("A", "B")),
+    lambda header: header.update(levels=[]),
+    lambda header: header.update(texts=["mug"]),
+    lambda header: header.update(columns={"Floor": 1}),
+]
+COLUMNS = [
+    "EXCLUDE (position)",
+    "REPLACE ([1.0, 2.0] AS position)",
+    "REPLACE (NULL AS box_axes)",
+    "REPLACE ('text' AS box_extent)",
+    "REPLACE (thing + 100 AS thing)",
+]
+
+
+@pytest.mark.parametrize("damage", [
+    *(lambda path, change=change: path.write_bytes(change(path.read_bytes())) for change in BYTES),
+    *(partial(rewrite, change=change) for change in HEADERS),
+    *(partial(rewrite, column=column) for column in COLUMNS),
+])  # fmt: skip
+def test_a_damaged_scan_is_named(
+    archive: scoup.Archive, fields: Fields, damage: Callable[[Path], Any]
 ) -> None:
     damage(archive.folder / "office.parquet")
     with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
@@ -325,17 +291,12 @@ def test_a_damaged_scan_is_named_and_replaced(
     assert "office" in {each.scan for each in archive.find("mug")}
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{}", "does not describe"),
-        ("[1]", "does not describe"),
-        ('{"format": "x"}', "does not describe"),
-        (None, "no such file"),
-    ],
-)
-def test_a_damaged_description_is_named(archive: scoup.Archive, text: str | None, said: str) -> None:
+def test_a_damaged_description_is_named(archive: scoup.Archive) -> None:
     path = archive.folder / "archive.json"
-    path.unlink() if text is None else path.write_text(text)
-    with pytest.raises(FileFormatError, match=rf"archive\.json: .*{said}"):
+    for text in ("{}", "[1]", '{"format": "x"}'):
+        path.write_text(text)
+        with pytest.raises(FileFormatError, match=r"archive\.json: does not describe an archive"):
+            scoup.Archive(archive.folder)
+    path.unlink()
+    with refuses(FileFormatError):
         scoup.Archive(archive.folder)

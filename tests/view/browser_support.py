@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -21,13 +22,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.field import NO_THING, FieldInfo, ThingTable
-from scoup.models import CANONICAL_PHRASES
-from scoup.pictures import Picture, as_picture
-from scoup.query import LanguageField
-from scoup.scene import SH_C0, Camera, Cameras, Gaussians, index_dtype
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.pictures import as_picture
+from scoup.pictures.colors import Picture
+from scoup.query.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
+from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene.things import NO_THING
 from scoup.view.page import PAGE_FOLDER
-from support import unit
+from support import things_of, unit
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
@@ -55,28 +60,16 @@ PATIENCE = 60_000
 """Milliseconds for a step, on however busy a machine."""
 
 
-def why_not(page: bool = True) -> str | None:
-    """Why nothing can be tested in a browser here, if so; with or without the page."""
-    if program() is None:
-        return "there is no Chromium here (apt-get install chromium)"
-    for package in ("playwright", "starlette", "uvicorn"):
-        try:
-            __import__(package)
-        except ImportError:
-            return f"{package} is not installed"
-    if page and not (PAGE_FOLDER / "viewer.js").is_file():
-        return "the page is not built: python tools/build_viewer.py"
-    return None
-
-
 def need_browser(page: bool = True) -> None:
     """Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure."""
-    reason = why_not(page)
-    if reason is None:
-        return
-    if os.environ.get("SCOUP_TEST_BROWSER") == "required":
-        pytest.fail(reason)
-    pytest.skip(reason)
+    packages = ("playwright", "starlette", "uvicorn")
+    reasons = [f"{package} is not installed" for package in packages if find_spec(package) is None]
+    if program() is None:
+        reasons.append("there is no Chromium here (apt-get install chromium)")
+    if page and not (PAGE_FOLDER / "viewer.js").is_file():
+        reasons.append("the page is not built: python tools/build_viewer.py")
+    if reasons:
+        (pytest.fail if os.environ.get("SCOUP_TEST_BROWSER") == "required" else pytest.skip)(reasons[0])
 
 
 # ---- The scene
@@ -91,8 +84,7 @@ def table() -> dict[str, Tensor]:
     # Orthogonal, as long as there are dimensions.
     vectors = torch.linalg.qr(vectors[:DIM].T).Q.T
     found = dict(zip(names, vectors, strict=True))
-    found[MIXED] = unit(0.9 * found["kettle"] + 0.42 * found["mug"])
-    return found
+    return found | {MIXED: unit(0.9 * found["kettle"] + 0.42 * found["mug"])}
 
 
 def things_field() -> LanguageField:
@@ -125,15 +117,13 @@ def field_of_instances() -> LanguageField:
     names = list(THINGS)[:3]
     owners = torch.stack([torch.where(main < 0, NO_THING, main + shift) for shift in (0, 3, 6)], 1)
     count = 3 * len(names)
-    field.thing_table = ThingTable(
-        owners.int(),
-        torch.arange(3, dtype=torch.uint8).repeat_interleave(len(names)),
-        torch.tensor([3, 4, 5, 6, 7, 8, *[NO_THING] * 3], dtype=torch.int32),
-        torch.stack([table()[name] for name in names * 3]).half(),
-        torch.full((count,), 0.6),
-        torch.full((count,), 9, dtype=torch.int32),
-        torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
-        torch.ones(count),
+    field.thing_table = things_of(
+        owners,
+        torch.arange(3).repeat_interleave(len(names)),
+        torch.stack([table()[name] for name in names * 3]),
+        parents=torch.tensor([3, 4, 5, 6, 7, 8, *[NO_THING] * 3], dtype=torch.int32),
+        agreement=torch.full((count,), 0.6),
+        mass=torch.bincount(owners.flatten() + 1, minlength=count + 1)[1:].float(),
     )
     return field
 
@@ -154,15 +144,9 @@ def coded(
     k: int = 4,
     n_others: int = 10,
 ) -> LanguageField:
-    """A field whose Gaussians mostly mean one atom each, ``main`` [N, S], and a little of others.
+    """A field whose Gaussians mostly mean one atom each, and a little of others.
 
-    Args:
-        gaussians: to be given codes.
-        main: [N, S] places in ``THINGS`` and then ``GROUPS``.
-        generator: of what is drawn.
-        cameras: of the field.
-        k: atoms of a code.
-        n_others: atoms of no thing.
+    ``main`` [N, S] are places in ``THINGS`` and then ``GROUPS``; codes have ``k`` atoms, ``n_others`` are of no thing.
     """
     names = [*THINGS, *GROUPS]
     others = unit(torch.randn(n_others, DIM, generator=generator))
@@ -200,24 +184,24 @@ def saved_field(folder: Path) -> Path:
 
 # ---- The page
 
-PIXELS = """() => {
-  const { data, width, height } = window.scoupViewer.pixels();
+PIXELS = """id => {
+  const canvas = document.getElementById(id);
+  if (canvas?.hidden) return null;
+  const { data, width, height } = canvas
+    ? canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)
+    : window.scoupViewer.pixels();
   let text = "";
   for (let at = 0; at < data.length; at += 8192) text += String.fromCharCode(...data.slice(at, at + 8192));
   return { width, height, data: btoa(text) };
 }"""
 SIZE = (720, 300)
 """Of the window; 400 x 300 of it are the picture."""
+FRONT = views()[0].resized(400, 300)
+"""The camera that the page opens with, in the size of its picture."""
 
 
 class Visit:
-    """A page that is open, and what went wrong in it.
-
-    Attributes:
-        page: of playwright.
-        problems: what the page's console calls an error or a warning, and what it threw.
-        requests: addresses that were asked for.
-    """
+    """A page that is open, the addresses it asked for, and its problems: errors and warnings of its console."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -232,8 +216,8 @@ class Visit:
         if message.type in ("error", "warning"):
             self.problems.append(message.text)
 
-    def open(self, address: str) -> None:
-        self.page.goto(address)
+    def ready(self) -> None:
+        """Wait until the page can be asked."""
         self.until("Boolean(window.scoupViewer)")
         self.page.evaluate("window.scoupViewer.ready")
         self.settle()
@@ -302,9 +286,17 @@ class Visit:
 
     def picture(self) -> Picture:
         """What is seen of the scene, [H, W, 3]."""
-        found = self.page.evaluate(PIXELS)
+        found = self.pixels()
+        assert found is not None
+        return found[..., :3]
+
+    def pixels(self, canvas: str = "") -> Picture | None:
+        """[H, W, 4] of the scene, or of a canvas over it; None where that is hidden."""
+        found = self.page.evaluate(PIXELS, canvas)
+        if found is None:
+            return None
         rows = np.frombuffer(base64.b64decode(found["data"]), np.uint8)
-        return rows.reshape(found["height"], found["width"], 4)[..., :3]
+        return rows.reshape(found["height"], found["width"], 4)
 
     def at(self, place: tuple[float, float]) -> tuple[float, float]:
         """The point of the window at a share of the picture's width and height."""
@@ -327,12 +319,7 @@ def visiting(
 ) -> Iterator[Visit]:
     """A visitor of its own at an address; what went wrong, and any request to elsewhere, is a failure.
 
-    Args:
-        browser: where the visitor comes from.
-        address: of the page.
-        size: of the window.
-        offline: without a network.
-        options: of the browser's context.
+    ``offline`` is without a network; other options are of the browser's context.
     """
     if options:
         context = browser.new_context(**options)
@@ -343,7 +330,8 @@ def visiting(
     try:
         page.set_viewport_size({"width": size[0], "height": size[1]})
         visit = Visit(page)
-        visit.open(address)
+        page.goto(address)
+        visit.ready()
         yield visit
         own = urlsplit(address)
         for asked in map(urlsplit, visit.requests):
@@ -363,13 +351,12 @@ def places_in(camera: Camera | None = None) -> dict[str, tuple[float, float]]:
     return found
 
 
-def patches(picture: Picture, side: int = 4) -> dict[str, NDArray[np.float64]]:
+def patches(picture: Picture) -> dict[str, NDArray[np.float64]]:
     """The pixels in the middle of each thing, [P, 3]."""
-    height, width = picture.shape[:2]
-    found = {}
+    (height, width), found = picture.shape[:2], {}
     for name, (x, y) in places_in().items():
         row, column = round(y * height), round(x * width)
-        cut = picture[row - side : row + side + 1, column - side : column + side + 1]
+        cut = picture[row - 4 : row + 5, column - 4 : column + 5]
         found[name] = cut.reshape(-1, 3).astype(np.float64)
     return found
 
@@ -377,7 +364,7 @@ def patches(picture: Picture, side: int = 4) -> dict[str, NDArray[np.float64]]:
 def render(viewed: ViewedField, mask: Tensor | None = None, camera: Camera | None = None) -> Picture:
     """The picture of some of the Gaussians by our own rasteriser, by default from where the page opens."""
     gaussians = viewed.gaussians if mask is None else viewed.gaussians.select(mask)
-    return as_picture(raster.render_colors(gaussians, camera or views()[0].resized(400, 300)))
+    return as_picture(raster.render_colors(gaussians, camera or FRONT))
 
 
 def selected_by_votes(
@@ -394,6 +381,7 @@ def selected_by_votes(
 
 ABSENT_TOO = "show texts that are not in the scene, too"
 AUTOMATIC = "automatic, for each text"
+LEVELS = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
 both_pages = pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
 """In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
 ALIKE = 0.06
@@ -473,3 +461,10 @@ def opened(viewed: ViewedField, **options: Any) -> Viewer:
     from scoup.view.viewer import Viewer
 
     return Viewer(viewed, **{"port": 0, **options})
+
+
+@contextmanager
+def served(browser: Browser, viewed: ViewedField, **options: Any) -> Iterator[Visit]:
+    """A visitor of a viewer of its own."""
+    with opened(viewed, **options) as viewer, visiting(browser, viewer.address) as visit:
+        yield visit

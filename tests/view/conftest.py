@@ -10,8 +10,7 @@ import pytest
 from benchmarks.chromium import chromium
 from browser_support import Visit, need_browser, opened, saved_field, visiting
 
-from scoup.query import LanguageField
-from scoup.scene import Camera
+from scoup.query.language_field import LanguageField
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 
@@ -43,13 +42,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def viewed(saved: Path) -> ViewedField:
     return ViewedField(LanguageField.load(saved, words=saved.with_name("words.npz")))
-
-
-@pytest.fixture(scope="module")
-def camera(viewed: ViewedField) -> Camera:
-    """That the page opens with, in the size of its picture."""
-    assert viewed.field.cameras is not None
-    return viewed.field.cameras[0].resized(400, 300)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from browser_support import (
     Visit,
     coded,
     difference,
-    opened,
+    served,
     splat,
     table,
     things_field,
@@ -51,7 +52,7 @@ def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 def whole(browser: Browser) -> Picture:
     """The kettle in a page that got the scene in one piece."""
     viewed = ViewedField(things_field().with_encoder(table()))
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         assert visit.state()["gaussians"] == len(viewed.field)
         visit.ask("kettle")
         return visit.picture()
@@ -68,9 +69,7 @@ def whole_scene(visit: Visit, whole: Picture, count: int) -> None:
 
 
 @pytest.mark.usefixtures("in_parts")
-def test_a_large_scene_is_seen_coarsely_first(
-    browser: Browser, whole: Picture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_scene_is_seen_coarsely_first(browser: Browser, whole: Picture, monkeypatch) -> None:
     viewed = ViewedField(things_field().with_encoder(table()))
     assert viewed.n_parts > 1
     held, busy = threading.Event(), [True]
@@ -84,7 +83,7 @@ def test_a_large_scene_is_seen_coarsely_first(
         return part(number, whole=whole)
 
     monkeypatch.setattr(viewed, "part", part_when)
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         assert 0 < visit.state()["gaussians"] <= 60
         assert "more are loading" in visit.page.inner_text("#facts")
         held.set()
@@ -103,32 +102,53 @@ def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
     for side, wanted in ((0.5, ["0-of-2", "1-of-2"]), (30.5, ["1-of-2", "0-of-2"])):
         camera = Camera.look_at((side, -4, 0.5), (side, 0, 0.5), "near.png", 400, 300, 400)
         viewed = ViewedField(coded(gaussians, main, generator, Cameras([camera])).with_encoder(table()))
-        with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        with served(browser, viewed) as visit:
             visit.page.evaluate("window.scoupViewer.whole")
             asked = [address.rsplit("/", 1)[1] for address in visit.requests if "/part/" in address]
             assert asked == wanted
 
 
+def damaged(
+    viewed: ViewedField, monkeypatch: pytest.MonkeyPatch, when: Callable[[int, bool], bool]
+) -> ViewedField:
+    """With some parts that cannot be had."""
+    own = viewed.part
+
+    def part(number: int, whole: bool) -> bytes:
+        if when(number, whole):
+            raise InputError("scene.scoup: damaged")
+        return own(number, whole=whole)
+
+    monkeypatch.setattr(viewed, "part", part)
+    return viewed
+
+
 @pytest.mark.usefixtures("in_parts")
 def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewed = ViewedField(things_field().with_encoder(table()))
-
-    def damaged(number: int, whole: bool) -> bytes:
-        raise InputError("scene.scoup: damaged")
-
-    monkeypatch.setattr(viewed, "part", damaged)
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    viewed = damaged(ViewedField(things_field().with_encoder(table())), monkeypatch, lambda *_: True)
+    with served(browser, viewed) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         said = visit.page.inner_text("#message")
         assert said == "A part of the scene is missing: scene.scoup: damaged"
         assert 0 < visit.state()["gaussians"] <= 60
         assert "400" in visit.problems.pop()
+    # What cannot be had whole stays merged.
+    viewed = ViewedField(four_places().with_encoder(table()), most=300)
+    merged = sum(len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4))
+    viewed = damaged(viewed, monkeypatch, lambda number, whole: whole and number == 0)
+    with served(browser, viewed) as visit:
+        fly(visit, "first.png")
+        assert visit.page.inner_text("#message") == "A part of the scene stays merged: scene.scoup: damaged"
+        assert visit.state()["gaussians"] == merged
+        for name in ("last.png", "first.png"):
+            fly(visit, name)
+            assert visit.state()["gaussians"] > merged
+        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole"]
+        assert "400" in visit.problems.pop()
 
 
 @pytest.mark.usefixtures("in_parts")
-def test_an_exported_page_loads_its_parts_one_by_one(
-    browser: Browser, whole: Picture, tmp_path: Path
-) -> None:
+def test_an_exported_page_loads_its_parts(browser: Browser, whole: Picture, tmp_path: Path) -> None:
     viewed = ViewedField(things_field().with_encoder(table()))
     export_page(viewed, tmp_path / "page", split=True)
     with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
@@ -164,10 +184,7 @@ def asked_whole(visit: Visit) -> list[str]:
 def test_what_is_near_is_shown_whole(browser: Browser) -> None:
     """Of merged parts, as many as there is room for, and others where the camera goes."""
     field, pictures = four_places(), {}
-    with (
-        opened(ViewedField(field.with_encoder(table()))) as viewer,
-        visiting(browser, viewer.address) as visit,
-    ):
+    with served(browser, ViewedField(field.with_encoder(table()))) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         for name in ("first.png", "last.png"):
             fly(visit, name)
@@ -175,7 +192,7 @@ def test_what_is_near_is_shown_whole(browser: Browser) -> None:
     viewed = ViewedField(field.with_encoder(table()), most=300)
     merged = [len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4)]
     assert max(merged) <= 75
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         for name, near in (("first.png", 0), ("last.png", 3), ("far.png", 3), ("first.png", 0)):
             fly(visit, name)
             count = sum(merged) - merged[near] + 200
@@ -185,50 +202,23 @@ def test_what_is_near_is_shown_whole(browser: Browser) -> None:
         assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole", "0-of-4?whole"]
 
 
-@pytest.mark.usefixtures("in_parts")
-def test_what_cannot_be_had_whole_stays_merged(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewed = ViewedField(four_places().with_encoder(table()), most=300)
-    part = viewed.part
-    merged = sum(len(unpacked(part(number))[0]["opacities"]) for number in range(4))
-
-    def damaged(number: int, whole: bool) -> bytes:
-        if whole and number == 0:
-            raise InputError("scene.scoup: damaged")
-        return part(number, whole=whole)
-
-    monkeypatch.setattr(viewed, "part", damaged)
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
-        fly(visit, "first.png")
-        assert visit.page.inner_text("#message") == "A part of the scene stays merged: scene.scoup: damaged"
-        assert visit.state()["gaussians"] == merged
-        for name in ("last.png", "first.png"):
-            fly(visit, name)
-            assert visit.state()["gaussians"] > merged
-        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole"]
-        assert "400" in visit.problems.pop()
-
-
 def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:
     field = things_field()
     gaussians = field.gaussians.select(torch.arange(len(field)))
     gaussians.opacities[:A_THING:2] = 0.08  # of the kettle, haze
     gaussians.scales[1:A_THING:2] = torch.tensor([0.12, 0.01, 0.01])  # and needles
     gaussians.scales[A_THING : 2 * A_THING] = torch.tensor([0.06, 0.06, 0.004])  # the mug's are flat
-    with (
-        opened(ViewedField(field.with_gaussians(gaussians).with_encoder(table()))) as viewer,
-        visiting(browser, viewer.address) as visit,
-    ):
+    clean_up = "clean up haze and needles of the selection"
+    with served(browser, ViewedField(field.with_gaussians(gaussians).with_encoder(table()))) as visit:
         for text, stays in (("kettle", False), ("mug", True)):
             visit.ask(text)
             visit.choose("Only the selection")
             whole = visit.picture()
             assert whole.max() > 50
-            visit.tab("View")
-            visit.page.get_by_label("clean up haze and needles of the selection").check()
-            visit.settle()
+            visit.tick(clean_up)
             clean = visit.picture()
             assert difference(clean, whole) < ALIKE if stays else clean.max() < 20
-            visit.page.get_by_label("clean up haze and needles of the selection").uncheck()
+            visit.tick(clean_up, False)
             visit.remove(text)
 
 
@@ -250,12 +240,10 @@ UNFINISHED = """() => {
 """Lets no frame be finished before ``window.finished``."""
 
 
-def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_browsers_draw_less_while_the_camera_moves(browser: Browser, monkeypatch) -> None:
     monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
     viewed = ViewedField(things_field().with_encoder(table()))
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         visit.ask("kettle")
         rest = visit.picture()
@@ -312,7 +300,7 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
     viewed = ViewedField(field.with_encoder(table()))
     points = torch.cat([means, torch.ones(count, 1)], 1).double() @ (camera.viewmat[:3].T @ camera.K.T)
     columns, rows = (points[:, :2] / points[:, 2:]).floor().int().numpy().T
-    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+    with served(browser, viewed) as visit:
         white = visit.picture()
         assert difference(white, viewed.picture(camera)) < ALIKE
         for text in ("kettle", "dishes"):

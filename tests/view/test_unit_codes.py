@@ -14,12 +14,7 @@ from support import examples, unit
 
 
 @settings(max_examples=examples(30), deadline=None)
-@given(
-    st.integers(0, 40),
-    st.integers(0, 2**31),
-    st.sampled_from([1, 9, 300]),
-    st.sampled_from([1, 3, 4, 9]),
-)
+@given(st.integers(0, 40), st.integers(0, 2**31), st.sampled_from([1, 9, 300]), st.sampled_from([1, 3, 4, 9]))
 def test_cosines_are_those_of_the_field(count: int, seed: int, n_atoms: int, k: int) -> None:
     field = random_field(count, seed, n_atoms, k)
     queries = unit(torch.randn(3, DIM, generator=torch.Generator().manual_seed(seed)))

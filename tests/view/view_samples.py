@@ -12,13 +12,15 @@ import torch
 from safetensors.numpy import load
 from torch import Tensor
 
-from scoup.field import NO_THING, FieldInfo, ThingTable
-from scoup.models import CANONICAL_PHRASES
-from scoup.query import LanguageField
-from scoup.scene import Camera, Cameras, Gaussians, index_dtype
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
+from scoup.scene.gaussians import Gaussians
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
-from support import altered, make_camera, random_gaussians, unit
+from support import altered, make_camera, random_gaussians, things_of, unit
 
 DIM = 12
 THINGS_OF_A_LEVEL = 5
@@ -61,17 +63,12 @@ def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageFiel
     number = torch.randint(-1, THINGS_OF_A_LEVEL, (count, 2), generator=generator)
     owners = torch.where(number < 0, -1, number + torch.tensor([0, THINGS_OF_A_LEVEL]))
     vectors = torch.stack([table()[name] for name in WORDS[: len(levels)]])
-    things = ThingTable(
-        owners.int(),
-        levels.to(torch.uint8),
-        torch.full((len(levels),), NO_THING, dtype=torch.int32),
-        unit(vectors + 0.1 * torch.randn(vectors.shape, generator=generator)).half(),
-        torch.full((len(levels),), agreement),
-        torch.full((len(levels),), 5, dtype=torch.int32),
-        torch.rand(len(levels), generator=generator) + 0.5,
-        torch.ones(len(levels)),
-    )
-    return altered(field, thing_table=things)
+    embeddings = unit(vectors + 0.1 * torch.randn(vectors.shape, generator=generator))
+    parts = {
+        "agreement": torch.full((len(levels),), agreement),
+        "mass": torch.rand(len(levels), generator=generator) + 0.5,
+    }
+    return altered(field, thing_table=things_of(owners, levels, embeddings, **parts))
 
 
 @cache
@@ -118,3 +115,18 @@ def splat_of(tensors: dict[str, np.ndarray], metadata: dict[str, Any]) -> Gaussi
     colors = (tensors["colors"].T / 255 - 0.5) / 0.28209479177387814
     arrays = means, quats, scales, tensors["opacities"] / 255, colors[:, None]
     return Gaussians(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
+
+
+def shown_relevancy(
+    tensors: dict[str, np.ndarray],
+    metadata: dict[str, Any],
+    canonical: np.ndarray,
+    scores: np.ndarray,
+    level: int,
+) -> np.ndarray:
+    """[N] relevancy of the Gaussians as the page counts it."""
+    weights = tensors["code_weights"][level] / 65535 * metadata["weights_scale"]  # [K, N]
+    indices = tensors["code_indices"][level].astype(int)
+    cosine = (weights * scores[level][indices]).sum(0)
+    rivals = (weights * canonical[level][:, indices]).sum(1).max(0)
+    return 1 / (1 + np.exp(-10 * (cosine - rivals)))
