@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from scoup.io import RegionManifest, ViewRegions
 from scoup.io.regions.compact import write_view
-from scoup.io.regions.manifest import RegionManifest, write_manifest
-from scoup.io.regions.views import ViewRegions
+from scoup.io.regions.manifest import write_manifest
 from scoup.io.splats.spz import write_spz
 from scoup.scene import (
     LEVELS,

@@ -10,7 +10,7 @@ from benchmarks.things import FACTS, VIEWER
 
 import scoup
 from cli_support import run
-from scoup.query.catalog_files import thing_mask
+from scoup.query import thing_mask
 from scoup.query.phrases import Phrase, parse_phrase
 from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels

@@ -18,6 +18,7 @@ import yaml
 from tools import check_distributions, site_hooks
 
 import scoup
+from scoup.base import VERSION
 from scoup.base.errors import FieldVersionError
 from scoup.view.viewer import PORT
 

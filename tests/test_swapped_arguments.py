@@ -11,8 +11,7 @@ import pytest
 import scoup
 from messages import refuses
 from scoup.io import save_regions
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.models import CANONICAL_PHRASES, save_table
 from support import small_scene, unit
 
 

@@ -24,9 +24,9 @@ from scoup.archive import archive as archive_module
 from scoup.archive import kept_scans
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
-from scoup.base.errors import FileFormatError, UnknownNameError
-from scoup.models.text import TextEncoder
-from scoup.query.language_field import LanguageField
+from scoup.base import FileFormatError, UnknownNameError
+from scoup.models import TextEncoder
+from scoup.query import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from messages import refuses
-from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.base.errors import OutputExistsError, WriteError
+from scoup.base.outputs import atomic_file, atomic_path, check_output, write_text
 
 
 def test_makes_the_folder_and_replaces_nothing_by_default(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scoup.base.counts import listed, share_of, spread
+from scoup.base.texts import listed, share_of, spread
 
 
 def test_ends_of_lists() -> None:

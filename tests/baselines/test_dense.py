@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from scoup import raster
-from scoup.field.relevancy import relevancy
-from scoup.uplift.rasterise import region_sums
+from scoup.field import relevancy
+from scoup.uplift import region_sums
 from scoup_lab.baselines.dense import dense_features, mean_features
 from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.methods import METHODS

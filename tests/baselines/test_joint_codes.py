@@ -10,7 +10,7 @@ from torch import Tensor
 
 from messages import refuses
 from scoup import raster
-from scoup.scene.regions import RegionMap, Regions
+from scoup.scene import RegionMap, Regions
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.joint_codes import (
     JointCodes,

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.relevancy import relevancy
-from scoup.scene.codes import SparseCodes
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
+from scoup.field import relevancy
+from scoup.scene import SparseCodes
+from scoup.uplift import BUILD_PRESETS, BuildSettings, build
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup_lab.baselines.joint_codes import JointSettings

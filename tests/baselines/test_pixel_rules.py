@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.base import InputError
+from scoup.scene import Camera, Gaussians
 from scoup_lab.baselines.pixel_rules import (
     CentrePixel,
     PixelWeights,

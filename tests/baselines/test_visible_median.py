@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from messages import refuses
-from scoup.uplift.region_sums import RegionSums
+from scoup.uplift import RegionSums
 from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.pixel_rules import VisibleInView

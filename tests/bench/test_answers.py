@@ -17,7 +17,7 @@ from benchmarks.study import run
 from benchmarks.ways import WAYS
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.coding.exact import EFFORTS, ExactSettings
 from scoup.uplift import BUILD_PRESETS, constants
 from scoup_lab.baselines import rasterised_scene

@@ -13,8 +13,8 @@ from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.ways import groups_of
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.base import UnknownNameError
+from scoup.models import CANONICAL_PHRASES
 from scoup_lab.synthetic.words import unit
 
 NAMES = [f"thing {number}" for number in range(20)]

@@ -13,8 +13,8 @@ from benchmarks import __main__ as program
 from benchmarks.study import Record, Study, run
 
 from messages import refuses
-from scoup.base.errors import OutputExistsError
-from scoup.cli.family import Family
+from scoup.base import OutputExistsError
+from scoup.cli import Family
 
 
 @dataclass(frozen=True, kw_only=True)

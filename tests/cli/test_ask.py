@@ -18,12 +18,11 @@ from cli_support import QUICK, WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
 from scoup.io import load_gaussians, read_ply_table, write_colmap, write_ply_table
-from scoup.models.word_table import load_table, save_table
-from scoup.query.edits import Edit, edited
-from scoup.query.language_field import LanguageField
-from scoup.query.select import Reshaping
+from scoup.models import load_table, save_table
+from scoup.query import LanguageField, Reshaping, edited
+from scoup.query.edits import Edit
 from scoup.raster import render_colors
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -14,16 +14,15 @@ import torch
 
 from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, snapshot, together, write_scene
 from messages import check_message
-from scoup.base.registry import Registry
-from scoup.extract.pipeline import lacks_views
+from scoup.base import Registry
+from scoup.extract import lacks_views
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
 from scoup.io.splats import formats
 from scoup.io.splats.ply import FORMAT, read_ply
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.models.word_table import load_table, save_table
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.models import load_table, save_table
+from scoup.query import LanguageField
+from scoup.scene import Cameras, Gaussians
 from scoup.uplift import build_settings
 from uplift.edits import joined
 

@@ -12,10 +12,8 @@ import torch
 from cli_support import BUILD, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import load_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.language_field import LanguageField
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, load_table
+from scoup.query import LanguageField
 from tiny_models import save_text_clip
 
 pytestmark = pytest.mark.usefixtures("here")

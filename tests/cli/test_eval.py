@@ -12,7 +12,7 @@ from PIL import Image
 
 from cli_support import refused, run, run_json
 from messages import check_message
-from scoup.base.registry import Registry
+from scoup.base import Registry
 from scoup_lab.data.labels import read_labels
 from scoup_lab.evaluate import protocols
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL

@@ -17,6 +17,7 @@ from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json, 
 from scoup.cli.options import CLIP_MODEL
 from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import (
+    find_detections,
     load_cameras,
     load_gaussians,
     load_regions,
@@ -24,7 +25,6 @@ from scoup.io import (
     write_colmap,
     write_transforms,
 )
-from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
 from scoup.query import LanguageField
 from scoup.scene import Detections
@@ -270,7 +270,7 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     for place, expected in (
         ("scoup.extract.pipeline.describe_masks", "the views are kept"),
-        ("scoup.uplift.build.build", "3 of 3 views are kept"),
+        ("scoup.uplift.field_build.build", "3 of 3 views are kept"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)

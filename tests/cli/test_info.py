@@ -15,9 +15,16 @@ from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
-from scoup.io import load_cameras, load_gaussians, save_gaussians, write_colmap, write_transforms
-from scoup.io.splats.ply import read_ply_table, write_ply_table
-from scoup.scene.cameras import Cameras
+from scoup.io import (
+    load_cameras,
+    load_gaussians,
+    read_ply_table,
+    save_gaussians,
+    write_colmap,
+    write_ply_table,
+    write_transforms,
+)
+from scoup.scene import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 

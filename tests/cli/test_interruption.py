@@ -15,8 +15,7 @@ import pytest
 from children import child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from messages import check_message
-from scoup.base.atomic import reserved_output
-from scoup.base.locks import locked
+from scoup.base import locked, reserved_output
 from scoup.cli.stop import stop_on_signals
 from scoup.io import RegionStore, load_gaussians, save_gaussians
 
@@ -143,7 +142,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
      "scoup.extract.own_views.render_colors"),
     ("convert scene new/compact", "scoup.io.regions.compact.write_view"),
     ("demo --out new/demo", "scoup_lab.evaluate.demonstration.make_demo_scene"),
-    ("transfer f.scoup edited.ply --out new/b.scoup", "scoup.uplift.transfer.transfer"),
+    ("transfer f.scoup edited.ply --out new/b.scoup", "scoup.uplift.field_transfer.transfer"),
     ("build scene --n-atoms 8 --out new/a.scoup", "scoup.uplift.region_codes.fit_codes"),
 ])  # fmt: skip
 def test_where_nothing_is_kept_nothing_is_left(

@@ -21,9 +21,7 @@ import torch
 import scoup.io as scoup_io
 from children import finished
 from cli_support import QUICK, RUN, plain_photographs, run, snapshot
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import WriteError
-from scoup.base.staging import staged
+from scoup.base import WriteError, atomic_file, staged
 from scoup.io import load_gaussians, save_gaussians
 from scoup.models import save_table
 from scoup.raster import ViewSums

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.rules import MASK_RULES

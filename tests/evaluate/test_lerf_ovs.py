@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.scene.cameras import Camera, Cameras
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
+from scoup.scene import Camera, Cameras
 from scoup_lab.data.labels import match_frames, read_frame, read_labels
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.scores import overall

@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 
 from messages import refuses
-from scoup.field.relevancy import relevancy
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
+from scoup.field import relevancy
+from scoup.uplift import BuildSettings, build
 from scoup_lab.baselines.fitted import FittedField, resized_image
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import mipnerf360

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
 from messages import refuses
-from scoup.base.errors import MissingFileError, UnknownNameError
+from scoup.base import MissingFileError, UnknownNameError
 from scoup.io import load_gaussians
 from scoup.query import LanguageField
 from scoup.uplift import build_settings

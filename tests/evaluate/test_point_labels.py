@@ -10,7 +10,7 @@ from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
 from messages import refuses
-from scoup.query.question import TextVectors
+from scoup.query import TextVectors
 from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,
     class_accuracies,

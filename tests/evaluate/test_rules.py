@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup_lab.evaluate.protocols import PIXELS
 from scoup_lab.evaluate.rules import MASK_RULES, MaskRule
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from messages import refuses
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints
 from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import NO_CLASS

@@ -7,7 +7,7 @@ import torch
 
 from messages import refuses
 from scoup import raster
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import lerf_ovs
 from scoup_lab.evaluate.protocols.selection import NEIGHBOURS, OPAQUE, THRESHOLD, score_scene, silhouette

@@ -14,10 +14,9 @@ import torch
 from evaluate.study_scenes import LABELS, study_scene
 from messages import refuses
 from scoup import raster
-from scoup.query.question import TextVectors
-from scoup.scene.codes import SparseCodes
-from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import BuildSettings
+from scoup.query import TextVectors
+from scoup.scene import Regions, SparseCodes
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.method import MethodSettings

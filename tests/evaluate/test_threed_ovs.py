@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io import save_png
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import threed_ovs

@@ -128,7 +128,7 @@ def test_views_that_are_not_whole_have_no_cameras(tmp_path: Path, monkeypatch: p
             raise OSError(errno.EIO, "broken", str(target))
         source.rename(target)
 
-    monkeypatch.setattr("scoup.base.staging.os.replace", refuse_sheets)
+    monkeypatch.setattr("scoup.base.outputs.os.replace", refuse_sheets)
     cameras = Cameras([make_camera(64, 48)])
     with pytest.raises(OSError, match="broken"):
         save_views(random_gaussians(50, seed=1), cameras, tmp_path)

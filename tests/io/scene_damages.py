@@ -33,7 +33,7 @@ from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.images import image_size
 from scoup.io.regions.manifest import MANIFEST
 from scoup.io.similarity import read_similarity
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.data.labelled_points import read_labelled_ply
 
 CAMERA = some_cameras(1)

@@ -25,12 +25,12 @@ from io_samples import (
     write_inria_cameras,
 )
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import load_cameras, read_points, read_tracks, write_colmap, write_transforms
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args
 from scoup.io.cameras.nerfstudio import read_transforms
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 
 ALONE = pytest.mark.filterwarnings("ignore:.*using the cameras alone")
 POINTS = np.random.default_rng(0).normal(size=(4, 3)), np.arange(12, dtype=np.uint8).reshape(4, 3)

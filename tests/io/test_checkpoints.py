@@ -14,12 +14,12 @@ import torch
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2, save_run, save_splatfacto
 from io_samples import save_checkpoint, some_gaussians
 from messages import refuses
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io import load_gaussians, splat_source
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 
 
 def save_nerfstudio(given: Gaussians, path: Path, older: bool = False) -> None:

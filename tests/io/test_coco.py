@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages import refuses
-from scoup.base.errors import OutputExistsError
+from scoup.base import OutputExistsError
 from scoup.io.coco import CocoAnnotations, run_lengths
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="pycocotools is the oracle")

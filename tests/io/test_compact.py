@@ -25,13 +25,13 @@ from io_samples import (
     some_regions,
 )
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 
 CAMERA = some_cameras(1)
 

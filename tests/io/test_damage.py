@@ -10,7 +10,7 @@ import scene_damages
 import splat_damages
 
 from messages import refuses
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 
 KINDS = splat_damages.KINDS | checkpoint_damages.KINDS | scene_damages.KINDS
 CASES = [(name, damage) for name, kind in KINDS.items() for damage in kind.damages]

@@ -23,7 +23,7 @@ from io_samples import (
     write_colmap_text,
 )
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,

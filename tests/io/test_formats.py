@@ -19,13 +19,13 @@ from foreign_samples import save_run
 from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, OutputExistsError, ScoupWarning
+from scoup.base import FileFormatError, OutputExistsError, ScoupWarning
 from scoup.field.content import TENSORS
 from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
 from scoup.io.splats.formats import FORMATS, format_of
 from scoup.io.splats.spz import MOST_BITS
-from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene import SH_C0, Gaussians
 from support import examples
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()

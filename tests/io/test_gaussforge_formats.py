@@ -12,7 +12,7 @@ import torch
 
 from io_samples import tame
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
 

@@ -27,14 +27,14 @@ from gltf_samples import (
 )
 from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from support import examples
 
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from messages import refuses
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder, find_beside
 from scoup.io.images import image_size, load_image, read_mask, save_png

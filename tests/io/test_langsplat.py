@@ -9,12 +9,7 @@ import torch
 
 from io_samples import planes_of, save_npy, some_cameras, unit_rows
 from messages import refuses, warns
-from scoup.base.errors import (
-    FileFormatError,
-    MissingFileError,
-    ScoupWarning,
-    UnknownNameError,
-)
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.io import load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.langsplat_rows import level_blocks

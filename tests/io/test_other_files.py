@@ -11,7 +11,7 @@ import torch
 from scene_damages import POINT_HEADER, TURNED
 
 from messages import refuses
-from scoup.base.errors import MissingFileError, OutputExistsError
+from scoup.base import MissingFileError, OutputExistsError
 from scoup.io.similarity import read_similarity
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
 

@@ -17,7 +17,7 @@ from splat_damages import record
 
 from io_samples import ply_file, raw_columns, same_gaussians, save_compressed_ply, save_spz, some_gaussians
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, WriteError
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, WriteError
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import ply, ply_rows
 from scoup.io.splats.activation import (
@@ -36,7 +36,7 @@ from scoup.io.splats.ply import (
     write_ply_table,
 )
 from scoup.io.splats.splat import read_splat
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0
 from support import random_gaussians
 
 RAW = st.floats(width=32, allow_nan=False)

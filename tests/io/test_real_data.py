@@ -12,7 +12,7 @@ import torch
 from children import finished
 from io_samples import angles, camera_difference, same_gaussians
 from messages import warns
-from scoup.base.errors import ScoupWarning
+from scoup.base import ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -24,6 +24,7 @@ from scoup.io import (
     save_gaussians,
     write_ply_table,
 )
+from scoup.io.cameras.inria import read_cfg_args
 from scoup_lab.evaluate.studies.matches import tracked_points
 
 pytestmark = pytest.mark.data

@@ -15,7 +15,7 @@ import torch
 from cli_support import snapshot
 from io_samples import save_langsplat, some_cameras, some_regions, stored_view
 from messages import refuses
-from scoup.base.errors import MissingFileError, OutputExistsError
+from scoup.base import MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
 from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, RegionManifest

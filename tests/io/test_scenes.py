@@ -19,7 +19,7 @@ from io_samples import (
     write_inria_cameras,
 )
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,

@@ -16,13 +16,11 @@ from splat_damages import spz as packed
 
 from io_samples import angles, same_gaussians, save_spz, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, ScoupWarning
+from scoup.base import FileFormatError, ScoupWarning
 from scoup.io import load_gaussians, write_ply
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.harmonics import sh_basis
-from scoup.scene.rotations import rotation_matrices
+from scoup.scene import Gaussians, rotation_matrices, sh_basis
 from support import unit
 
 # Steps of the stored values, halved, with a little for float32.

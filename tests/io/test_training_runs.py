@@ -13,7 +13,7 @@ import torch
 from foreign_samples import save_results, save_run, some_similarity
 from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
 from messages import refuses
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io import (
     load_cameras,
     load_gaussians,

@@ -15,7 +15,7 @@ import torch
 
 from io_samples import some_gaussians
 from messages import refuses
-from scoup.base.errors import ScoupError, WriteError
+from scoup.base import ScoupError, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned

@@ -14,7 +14,7 @@ from messages import refuses
 from raster.brute_force import blending_weights
 from raster.parity import ABSOLUTE, BACKENDS, RELATIVE
 from scoup import raster
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from support import KINDS, examples, make_camera, random_gaussians, random_labels, scenes
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)

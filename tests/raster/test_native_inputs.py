@@ -10,7 +10,7 @@ import torch
 from messages import refuses
 from raster.parity import assert_close, assert_same_sums, needs_native
 from scoup import raster
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Gaussians
 from support import make_camera, random_gaussians, random_labels, unit
 
 pytestmark = needs_native

@@ -11,7 +11,7 @@ from benchmarks.scenes import find_layout
 from PIL import Image
 
 from messages import refuses
-from scoup.base.errors import OutputExistsError, UnknownNameError
+from scoup.base import OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.models import load_table
 from scoup_lab.data.labels import read_labels

@@ -12,7 +12,7 @@ import torch
 from benchmarks.scenes import LAYOUTS
 
 from messages import refuses
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup_lab.synthetic.art.things import Parts
 from scoup_lab.synthetic.masks import piece_boxes

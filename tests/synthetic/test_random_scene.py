@@ -8,7 +8,7 @@ import torch
 
 from messages import refuses
 from scoup import raster
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic.random_scene import (
     SIZE,
     clip_like,

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.raster import project, render_channels
-from scoup.scene.regions import LEVELS
+from scoup.scene import LEVELS
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup_lab.synthetic.art.things import Parts
 from synthetic.small_scenes import SMALL

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from scoup_lab.synthetic.art.zbuffer import visible_faces
 from synthetic.shapes import half_turn, rectangle, sphere
 

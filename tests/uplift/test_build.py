@@ -15,8 +15,7 @@ import torch
 import scoup
 from cli_support import snapshot
 from messages import refuses, warns
-from scoup.base.errors import ScoupWarning, UnknownNameError
-from scoup.base.parts import Part
+from scoup.base import Part, ScoupWarning, UnknownNameError
 from scoup.field import Field
 from scoup.scene import Cameras, RegionMap, Regions
 from scoup.uplift.field_build import build

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.fuzzing.containers import SUMS
 
 from messages import refuses
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums

@@ -11,12 +11,10 @@ import torch
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
 from messages import refuses
-from scoup.base.errors import FileFormatError
-from scoup.field.relevancy import relevancy
-from scoup.io import load_gaussians
-from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.regions.langsplat_autoencoder import read_autoencoder
-from scoup.query.language_field import LanguageField
+from scoup.base import FileFormatError
+from scoup.field import relevancy
+from scoup.io import load_gaussians, read_autoencoder, read_langsplat
+from scoup.query import LanguageField
 from scoup.uplift import foreign
 from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
 from support import unit

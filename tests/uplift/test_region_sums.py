@@ -15,7 +15,7 @@ import scoup
 from cli_support import snapshot
 from messages import refuses
 from scoup import raster
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.storage import entries

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from messages import refuses
-from scoup.scene.codes import SparseCodes
-from scoup.uplift.region_sums import RegionSums
+from scoup.scene import SparseCodes
 from scoup.uplift.reweighting import scene_sharpness
-from scoup.uplift.vote import vote
+from scoup.uplift.stored_sums import RegionSums
+from scoup.uplift.voting import vote
 from uplift.random_votes import sums_of_triplets
 
 pytestmark = pytest.mark.parametrize("backend", ["native", "reference"])

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from messages import refuses
+from scoup.field import NO_THING
 from scoup.io import load_gaussians, save_gaussians
 from scoup.query import LanguageField, build
 from scoup.scene import Gaussians, index_dtype

@@ -22,15 +22,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
-from scoup.scene.field_info import FieldInfo
-from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.things import NO_THING
+from scoup.field import NO_THING, FieldInfo
+from scoup.models import CANONICAL_PHRASES
+from scoup.pictures import Picture, as_picture
+from scoup.query import LanguageField
+from scoup.scene import SH_C0, Camera, Cameras, Gaussians, index_dtype
 from scoup.view.page import PAGE_FOLDER
 from support import things_of, unit
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.chromium import chromium
 from browser_support import Visit, need_browser, opened, saved_field, visiting
 
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 

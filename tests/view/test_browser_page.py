@@ -43,7 +43,7 @@ from PIL import Image
 
 import scoup
 from cli_support import run_json
-from scoup.pictures.colors import Picture
+from scoup.pictures import Picture
 from scoup.view.exact import PictureMode
 from scoup.view.viewed_field import ViewedField
 

@@ -11,10 +11,8 @@ from view_samples import WORDS, random_field, table, viewed_field
 
 from messages import refuses
 from scoup import raster
-from scoup.pictures import as_picture
-from scoup.pictures.overlays import heat_overlay, texts_overlay
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.pictures import as_picture, heat_overlay, texts_overlay
+from scoup.scene import Camera, Gaussians
 from scoup.view.exact import LARGEST_SIDE, PictureMode, what_is_at
 from scoup.view.viewed_field import ViewedField
 from support import make_camera

@@ -17,7 +17,7 @@ from PIL import Image
 from view_samples import PAGE, WORDS, random_field, table, unpacked, viewed_field
 
 from messages import refuses
-from scoup.base.errors import OutputExistsError, ScoupError
+from scoup.base import OutputExistsError, ScoupError
 from scoup.view import export
 from scoup.view.export import FOLDER_FILES, ExportReport, export_page
 from scoup.view.page import PageFiles, page_files

@@ -21,8 +21,7 @@ from view_samples import (
 )
 
 from messages import refuses
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import SH_C0
+from scoup.scene import SH_C0, Camera, Cameras
 from scoup.view.decimation import decimate
 from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from view_samples import field_with_things, random_field, shown_relevancy, splat_of, table, unpacked
 
 from messages import refuses
-from scoup.query.language_field import LanguageField
+from scoup.query import LanguageField
 from scoup.view import parts
 from scoup.view.decimation import cover, drawable
 from scoup.view.parts import Parts

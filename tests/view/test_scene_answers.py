@@ -16,10 +16,12 @@ import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError
-from scoup.models.text import everyday_vocabulary
-from scoup.query.answer import Answer
+from scoup.base import UnknownNameError
+from scoup.field import NO_THING, ThingTable
+from scoup.models import everyday_vocabulary
+from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
+from scoup.scene import TENSORS
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField

@@ -19,7 +19,7 @@ pytest.importorskip("uvicorn", reason="needs scoup[view]")
 from view_samples import PAGE, random_field, table, viewed_field
 
 from messages import refuses
-from scoup.base.errors import InputError, ScoupError
+from scoup.base import InputError, ScoupError
 from scoup.view import viewer as module
 from scoup.view.viewer import PORT, Viewer, check_needed, open_viewer
 

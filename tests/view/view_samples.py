@@ -12,12 +12,10 @@ import torch
 from safetensors.numpy import load
 from torch import Tensor
 
-from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import index_dtype
-from scoup.scene.field_info import FieldInfo
-from scoup.scene.gaussians import Gaussians
+from scoup.field import FieldInfo
+from scoup.models import CANONICAL_PHRASES
+from scoup.query import LanguageField
+from scoup.scene import Camera, Cameras, Gaussians, index_dtype
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
 from support import altered, make_camera, random_gaussians, things_of, unit
