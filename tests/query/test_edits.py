@@ -8,8 +8,8 @@ from typing import Literal
 import pytest
 import torch
 
+from messages import refuses
 from query.conftest import Queried
-from scoup.base.errors import InputError
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.drawing import moving_cameras
@@ -48,10 +48,9 @@ def test_faded_gaussians_are_fainter() -> None:
     found = edited(gaussians, mask, "fade", opacity=0.25)
     assert found.opacities.equal(torch.where(mask, gaussians.opacities * 0.25, gaussians.opacities))
     for wrong in (-0.1, 1.1, float("nan")):
-        with pytest.raises(InputError, match="0 to 1"):
-            edited(gaussians, mask, "fade", opacity=wrong)
-        with pytest.raises(InputError, match="0 to 1"):
-            edited(gaussians, mask, "recolor", (wrong, 0, 0))
+        for options in ({"edit": "fade", "opacity": wrong}, {"edit": "recolor", "color": (wrong, 0, 0)}):
+            with refuses():
+                edited(gaussians, mask, **options)
 
 
 def asked(texts: Question, *words: str) -> Question:
@@ -86,7 +85,7 @@ def test_a_field_goes_with_its_edited_splat(queried: Queried) -> None:
     assert faded.code_indices.equal(field.code_indices)
     assert faded.gaussians.opacities[:20].equal(field.gaussians.opacities[:20] * 0.5)
     assert faded.info.provenance["selected_from"] == field.fingerprint
-    with pytest.raises(InputError, match="codes of"):
+    with refuses():
         field.with_gaussians(field.gaussians.select(mask))
 
 
@@ -103,7 +102,7 @@ def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
     after = picture[middle : middle + 40, 2 * third + 16 : 3 * third - 16]
     assert before.max() > 40
     assert after.max() == 0  # nothing is left
-    with pytest.raises(InputError, match="no camera"):
+    with refuses():
         best_camera(field, mask, [])
 
 
@@ -118,6 +117,6 @@ def test_a_turntable_needs_a_thing(queried: Queried) -> None:
     assert torch.allclose(distances, distances[0].expand(6))
     nowhere = field.location(field.select(asked(queried.texts, "word 0 and not word 0")))
     assert nowhere.position is None
-    with pytest.raises(InputError, match="nothing to turn around"):
+    with refuses():
         moving_cameras(field, nowhere, field.cameras, "turntable", 6)
     assert len(moving_cameras(field, nowhere, Cameras(list(field.cameras)), "path", 6)) == 6
