@@ -9,8 +9,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from messages import refuses
 from query.test_expression import joined
-from scoup.base.errors import InputError
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.phrases import ORDINALS, RELATIONS, SIDES, SIZES, Phrase, parse_phrase
 
@@ -26,22 +26,19 @@ def test_every_form_of_a_relation_is_read(form, relation) -> None:
         assert parse_phrase(text) == expected
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("largest box", Phrase("box", order="largest")),
-        ("the biggest box", Phrase("box", order="largest")),
-        ("a second smallest box", Phrase("box", order="smallest", rank=2)),
-        ("third box from the left", Phrase("box", order="left", rank=3)),
-        ("12th box from the back", Phrase("box", order="back", rank=12)),
-        ("box from the top", Phrase("box", order="top")),
-        ("2nd mug from the right on the desk", Phrase("mug", "on", ("desk",), "right", 2)),
-        ("mug on largest box", Phrase("mug", "on", (Phrase("box", order="largest"),))),
-        ("p left of q behind r", Phrase("p", "left of", (Phrase("q", "behind", ("r",)),))),
-        ("x between p on q and r", Phrase("x", "between", (Phrase("p", "on", ("q",)), "r"))),
-        ("x between p and y between q and r", Phrase("x", "between", ("p", Phrase("y", "between", ("q", "r"))))),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "expected"), [
+    ("largest box", Phrase("box", order="largest")),
+    ("the biggest box", Phrase("box", order="largest")),
+    ("a second smallest box", Phrase("box", order="smallest", rank=2)),
+    ("third box from the left", Phrase("box", order="left", rank=3)),
+    ("12th box from the back", Phrase("box", order="back", rank=12)),
+    ("box from the top", Phrase("box", order="top")),
+    ("2nd mug from the right on the desk", Phrase("mug", "on", ("desk",), "right", 2)),
+    ("mug on largest box", Phrase("mug", "on", (Phrase("box", order="largest"),))),
+    ("p left of q behind r", Phrase("p", "left of", (Phrase("q", "behind", ("r",)),))),
+    ("x between p on q and r", Phrase("x", "between", (Phrase("p", "on", ("q",)), "r"))),
+    ("x between p and y between q and r", Phrase("x", "between", ("p", Phrase("y", "between", ("q", "r"))))),
+])  # fmt: skip
 def test_orders_and_nested_phrases_are_read(text, expected) -> None:
     assert parse_phrase(text) == expected
     assert parse_expression([text]).root == expected
@@ -52,43 +49,28 @@ def test_names_of_things_are_texts(text) -> None:
     assert parse_phrase(text) == text
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("mug across the desk", "unknown relation 'across'"),
-        ("mug on", "a thing is missing"),
-        ("the on desk", "a thing is missing"),
-        ("largest", "a thing is missing"),
-        ("left of", "a thing is missing"),
-        ("left of mug", "a thing is missing"),
-        ("in front of mug on desk", "a thing is missing"),
-        ("mug on left of", "a thing is missing"),
-        ("behind", "a thing is missing"),
-        ("mug between a", "needs two things"),
-        ("third mug", "does not say from which side"),
-        ("third mug from the door", "unknown side"),
-        (" on ".join("abcdefghijk"), "relations within each other"),
-    ],
-)
-def test_what_is_not_a_phrase_is_refused(text, problem) -> None:
-    with pytest.raises(InputError, match=problem) as error:
-        parse_phrase(text)
-    assert all(relation in str(error.value) for relation in RELATIONS) or "within each other" in problem
+NO_PHRASES = (
+    "mug across the desk", "mug on", "the on desk", "largest", "left of", "left of mug", "in front of mug on desk",
+    "mug on left of", "behind", "mug between a", "third mug", "third mug from the door", " on ".join("abcdefghijk"),
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("words", "texts"),
-    [
-        (['"salt on pepper"'], ["salt on pepper"]),
-        (['"salt on pepper" or cup'], ["salt on pepper", "cup"]),
-        (['mug between "p and q" and "not"'], ["mug", "p and q", "not"]),
-        (["mug Between p and q and not cup"], ["mug", "p", "q", "cup"]),
-        (["mug between p and q", "cup"], ["mug", "p", "q", "cup"]),
-        (["(mug between p and q) or c and d"], ["mug", "p", "q", "c", "d"]),
-        (['mug and "near p"'], ["mug", "near p"]),
-        (['"mug." between p, and q'], ["mug.", "p", "q"]),
-    ],
-)
+def test_what_is_not_a_phrase_is_refused() -> None:
+    for text in NO_PHRASES:
+        with refuses():
+            parse_phrase(text)
+
+
+@pytest.mark.parametrize(("words", "texts"), [
+    (['"salt on pepper"'], ["salt on pepper"]),
+    (['"salt on pepper" or cup'], ["salt on pepper", "cup"]),
+    (['mug between "p and q" and "not"'], ["mug", "p and q", "not"]),
+    (["mug Between p and q and not cup"], ["mug", "p", "q", "cup"]),
+    (["mug between p and q", "cup"], ["mug", "p", "q", "cup"]),
+    (["(mug between p and q) or c and d"], ["mug", "p", "q", "c", "d"]),
+    (['mug and "near p"'], ["mug", "near p"]),
+    (['"mug." between p, and q'], ["mug.", "p", "q"]),
+])  # fmt: skip
 def test_phrases_within_expressions(words, texts) -> None:
     found = parse_expression(words)
     assert found.texts == tuple(texts)

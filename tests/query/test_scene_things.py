@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
-from query.planted_room import ABSENT, ROOM, Box, planted_room
+from query.planted_room import ROOM, Box, planted_room
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import PointSets
@@ -36,45 +36,20 @@ def test_every_thing_is_where_its_box_is(room) -> None:
         thing = found[number]
         assert (thing.text, thing.score, thing.parent, thing.n_regions) == ("", None, None, 9)
         assert thing.gaussians.tolist() == (room.thing_table.owners[:, 0] == number).nonzero()[:, 0].tolist()
-        spacing = torch.tensor(box.size).double() / 6
-        middle = torch.tensor(box.middle).double()
+        spacing, middle = torch.tensor(box.size).double() / 6, torch.tensor(box.middle).double()
         assert bool(((thing.position - middle).abs() <= 0.51 * spacing).all())
-        torch.testing.assert_close(
-            thing.box.extent.sort().values, (5 * spacing).sort().values, rtol=0.25, atol=1e-3
-        )
+        extent, expected = thing.box.extent.sort().values, (5 * spacing).sort().values
+        torch.testing.assert_close(extent, expected, rtol=0.25, atol=1e-3)
         assert thing.to_dict()["gaussians"] == thing.n_gaussians == 216
         assert thing.to_dict(2.0)["extent_metres"] == pytest.approx((2 * thing.box.extent).tolist(), rel=1e-4)
         assert repr(thing).startswith(f"Thing(thing {number} at [")
-
-
-@pytest.mark.parametrize(("text", "count"), [("mug", 2), ("laptop", 1)])
-def test_all_instances_are_found(room, text, count) -> None:
-    found = room.things(text)
-    assert len(found) == count
-    for thing in found:
-        assert ROOM[thing.number].name in thing.text
-        assert thing.score > 0.9
-
-
-def test_what_is_absent_has_no_things(room) -> None:
-    assert room.things(ABSENT) == []
-    assert not room.select(f"largest {ABSENT}").mask.any()
-
-
-def test_a_few_gaussians_of_a_thing_are_too_small(room) -> None:
-    answer = room[:3].answer("table")
-    assert not answer.presence
-    assert answer.remark() == "not in this scene: what fits has fewer than 10 Gaussians (score 1.00)"
 
 
 def test_what_fits_better_comes_first() -> None:
     field = planted_room([Box("mug", (0, 0, 0), (1, 1, 1)), Box("mug", (3, 0, 0), (1, 1, 1))])
     assert field.thing_table is not None
     field.thing_table.n_regions[0] = 4  # seen less often
-    found = field.things("mug")
-    assert [thing.number for thing in found] == [1, 0]
-    scores = [thing.score or 0 for thing in found]
-    assert scores == sorted(scores, reverse=True)
+    assert [thing.number for thing in field.things("mug")] == [1, 0]
 
 
 def test_things_of_two_levels_have_parents_that_contain_them() -> None:
@@ -146,11 +121,6 @@ def test_a_thing_around_a_camera_has_no_picture_and_ends_nothing(room) -> None:
     assert mug.number not in drawn
 
 
-def test_things_are_copies(room) -> None:
-    room.things("mug")[0].gaussians[:] = -1
-    assert int(room.things("mug")[0].gaussians.min()) >= 0
-
-
 # Places against a naive loop. Opacities are multiples of 1/16 and coordinates are whole, so that sums are exact.
 
 
@@ -173,10 +143,9 @@ def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float
     weights = [weight for _, weight in there]
     middle = [naive_quantile([mean[axis] for mean, _ in there], weights, 0.5) for axis in range(3)]
     distances = [float(np.linalg.norm(np.subtract(mean, middle))) for mean, _ in there]
-    usual = naive_quantile(distances, weights, 0.5)
-    return [
-        one for one, distance in zip(there, distances, strict=True) if distance <= constants.FARTHEST * usual
-    ]
+
+    farthest = constants.FARTHEST * naive_quantile(distances, weights, 0.5)
+    return [one for one, distance in zip(there, distances, strict=True) if distance <= farthest]
 
 
 coordinates = st.one_of(st.integers(-6, 6).map(float), st.sampled_from([50.0, float("nan"), float("inf")]))
