@@ -1,4 +1,4 @@
-"""Word tables of every form, whole and damaged, and the text encoder over them."""
+"""Everyday words, word tables of every form, whole and damaged, and the text encoder over them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
 
+from children import finished
 from messages import refuses
 from scoup.base.errors import (
     FileFormatError,
@@ -20,6 +22,8 @@ from scoup.base.errors import (
 )
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table, save_table
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
+from support import unit
 
 NAMES = ["apple", "Dark Cup", "chair"]
 VECTORS = np.array([[3.0, 0, 4], [0, 2, 0], [1, 1, 1]], dtype=np.float32)
@@ -186,3 +190,32 @@ def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
     assert load_table(tmp_path / "1000.npz").vectors.shape == (2, 1000)
     with refuses(FileFormatError):
         load_table(tmp_path / "3000000.npz")
+
+
+def test_canonical_phrases_are_the_papers() -> None:
+    assert CANONICAL_PHRASES == ("object", "things", "stuff", "texture")
+
+
+def test_the_list_is_read_when_it_is_needed(preloaded_python: str) -> None:
+    program = (
+        "import scoup.models.text, scoup.models.words as words; assert 'EVERYDAY_WORDS' not in vars(words); "
+        "assert words.EVERYDAY_WORDS is words.EVERYDAY_WORDS; assert not hasattr(words, 'OTHER_WORDS')"
+    )
+    finished([preloaded_python, "-c", program], check=True)
+
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
+
+
+def test_everyday_words() -> None:
+    assert 950 <= len({word.casefold() for word in EVERYDAY_WORDS}) == len(EVERYDAY_WORDS) <= 1100
+    assert not set(EVERYDAY_WORDS) & set(CANONICAL_PHRASES)
+    for word in EVERYDAY_WORDS:
+        assert word == " ".join(word.split())
+        assert 1 <= len(word.split()) <= 2, word
+    canonical, words = random(4, 16), random(LEAST_WORDS, 16, seed=1)
+    both = with_everyday(canonical, words)
+    assert torch.equal(both[:4], canonical)
+    assert torch.allclose(both[4], words.mean(0))
+    assert with_everyday(canonical, words[1:]) is canonical
