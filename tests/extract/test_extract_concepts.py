@@ -12,7 +12,8 @@ import torch
 from PIL import Image
 
 from mask_samples import smooth_image
-from scoup.base import FileFormatError, InputError
+from messages import refuses
+from scoup.base.errors import FileFormatError
 from scoup.extract import find_photographs
 from scoup.extract.concepts import boxes_as_stored, extract_concepts
 from scoup.extract.photographs import Pixels
@@ -58,33 +59,28 @@ def test_detections_are_stored_and_resumed(photographs: Path, tmp_path: Path) ->
     Image.fromarray(smooth_image(20, 30, 9)).save(photographs / "0.png")
     assert extract_concepts(found, folder, model, ["mug", "cup"]).made == ["0.png"], "it has changed"
     for other in ((Corner(2), ["mug", "cup"]), (Corner(), ["mug"])):
-        with pytest.raises(InputError, match="of other words or of another model"):
+        with refuses():
             extract_concepts(found, folder, *other)
     renewed = extract_concepts(found, folder, Corner(2), ["pen"], overwrite=True)
     assert len(renewed.made) == 2
-    with pytest.raises(InputError, match="at least one word"):
+    with refuses():
         extract_concepts(found, folder, model, [])
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"detections": [[2, 0.5, 0, 0, 1, 1]]}, "of unknown texts"),
-        ({"detections": [[0, 0.5, 0, 0]]}, "contains no detections"),
-        ({"detections": [["a"] * 6]}, "contains no detections"),
-        ({"size": [0, 5]}, "0 x 5 pixels"),
-        ({"size": 5}, "contains no detections"),
-    ],
-)
-def test_damaged_detections_are_refused(
-    photographs: Path, tmp_path: Path, change: dict[str, object], said: str
-) -> None:
+def test_damaged_detections_are_refused(photographs: Path, tmp_path: Path) -> None:
     folder = tmp_path / "concepts"
     extract_concepts(find_photographs(photographs), folder, Corner(), ["mug", "cup"])
     record = json.loads((folder / "0.json").read_text())
-    (folder / "0.json").write_text(json.dumps({**record, **change}))
-    with pytest.raises(FileFormatError, match=said):
-        DetectionStore.open(folder).read("0.png")
+    for change, said in (
+        ({"detections": [[2, 0.5, 0, 0, 1, 1]]}, "of unknown texts"),
+        ({"detections": [[0, 0.5, 0, 0]]}, "contains no detections"),  # and what torch says
+        ({"detections": [["a"] * 6]}, "contains no detections"),
+        ({"size": [0, 5]}, "0 x 5 pixels"),
+        ({"size": 5}, "contains no detections"),
+    ):
+        (folder / "0.json").write_text(json.dumps({**record, **change}))
+        with pytest.raises(FileFormatError, match=said):
+            DetectionStore.open(folder).read("0.png")
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

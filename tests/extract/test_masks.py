@@ -1,18 +1,19 @@
-"""Packed masks, and the rules over them, against literal versions."""
+"""Packed masks, and the rules over them; crops, and their embeddings by tiny models; against literal versions."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
+from literal_rules import box_of, box_suppression, clean_up, exact_crop_of, mask_rule, painted
 from mask_samples import mask_stacks, random_masks
-from scoup.base import InputError
+from messages import refuses
+from scoup.extract.crops import mask_crops
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
+from scoup.extract.plain_colors import PlainColors
 from scoup.extract.small_parts import without_small_parts
 
 
@@ -40,7 +41,7 @@ def test_masks_of_labels() -> None:
     masks = Masks.from_labels(labels)
     assert (masks.dense() == np.stack([labels == value for value in range(labels.max() + 1)])).all()
     assert len(Masks.from_labels(np.full((3, 3), -1))) == 0
-    with pytest.raises(InputError, match="cannot be concatenated"):
+    with refuses():
         Masks.concatenate((9, 7), [masks, Masks.from_dense(np.ones((1, 2, 2), bool))])
 
 
@@ -103,3 +104,40 @@ def test_random_masks_exercise_the_rules() -> None:
     assert 3 < len(kept) < len(dense) - 3
     cleaned = without_small_parts(Masks.from_dense(dense), 20, 0.7)
     assert 5 < len(cleaned) < len(dense) - 2
+
+
+def all_crops(
+    image: np.ndarray, dense: np.ndarray, side: int, cut_last: bool = True, batch: int = 3
+) -> np.ndarray:
+    masks = Masks.from_dense(dense)
+    parts = list(mask_crops(torch.from_numpy(image), masks, side, cut_last, batch))
+    assert [len(part) for part in parts[:-1]] == [batch] * (len(parts) - 1)
+    return torch.cat(parts).numpy() if parts else np.zeros((0, side, side, 3), np.uint8)
+
+
+@given(mask_stacks(most=8), st.sampled_from([1, 7, 32]), st.booleans())
+def test_crops_are_those_of_the_recipe(dense: np.ndarray, side: int, cut_last: bool) -> None:
+    dense = dense[dense.any((1, 2))]
+    image = np.random.default_rng(0).integers(0, 256, (*dense.shape[1:], 3)).astype(np.uint8)
+    crops = all_crops(image, dense, side, cut_last)
+    for crop, mask in zip(crops, dense, strict=True):
+        # Sums in another order may round the other way, where they lie halfway between two numbers.
+        assert np.abs(crop - exact_crop_of(image, mask, side, cut_last)).max() <= 0.5 + 1e-3
+
+
+def test_plain_colors_tell_colours_apart_and_ignore_what_is_black() -> None:
+    embedder = PlainColors()
+    red, green = torch.zeros(2, 64, 64, 3, dtype=torch.uint8)
+    red[..., 0], green[..., 1] = 200, 200
+    half = red.clone()
+    half[:, 32:] = 0
+    striped = red.clone()
+    striped[::4] = 90
+    rows = embedder.embed(torch.stack([red, green, half, striped, torch.zeros_like(red)]))
+    assert rows.shape == (5, embedder.dim)
+    cosines = rows @ rows.T
+    torch.testing.assert_close(rows[:4].norm(dim=1), torch.ones(4))
+    assert float(rows[4].abs().sum()) == 0  # nothing to see: "unknown"
+    assert float(cosines[0, 2]) > 0.9  # the same colour, half of it
+    assert float(cosines[0, 1]) < 0.5
+    assert float(cosines[0, 3]) < float(cosines[0, 2])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mask_samples import smooth_image
-from scoup.base import InputError
+from messages import refuses
 from scoup.extract.photograph_choice import (
     points_as_gaussians,
     rank_views,
@@ -17,25 +17,24 @@ from scoup.extract.photograph_choice import (
     sharpness,
     total_wanted,
 )
-from scoup.scene import Camera, Gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from support import unit
 
 SHARP = torch.ones(14)
 
 
 def ball(count: int = 2000) -> Gaussians:
     """Small opaque Gaussians on a sphere of radius 1."""
-    points = torch.nn.functional.normalize(
-        torch.randn(count, 3, generator=torch.Generator().manual_seed(1)), dim=1
-    )
-    return points_as_gaussians(points.double().numpy())
+    points = torch.randn(count, 3, generator=torch.Generator().manual_seed(1))
+    return points_as_gaussians(unit(points).double().numpy())
 
 
 def around(*degrees: float) -> list[Camera]:
     """Cameras on a circle around the ball."""
-    eyes = [(3 * np.cos(np.radians(each)), 3 * np.sin(np.radians(each)), 0.5) for each in degrees]
     return [
-        Camera.look_at(eye, (0, 0, 0), f"{each}.png", 64, 48, 60.0)
-        for each, eye in zip(degrees, eyes, strict=True)
+        Camera.look_at((3 * np.cos(a), 3 * np.sin(a), 0.5), (0, 0, 0), f"{each}.png", 64, 48, 60.0)
+        for each, a in zip(degrees, np.radians(degrees), strict=True)
     ]
 
 
@@ -85,18 +84,14 @@ def test_cameras_that_see_nothing_are_refused() -> None:
         replace(camera, viewmat=torch.diag(torch.tensor([1.0, -1, -1, 1])).double() @ camera.viewmat)
         for camera in DWELL
     ]
-    with pytest.raises(InputError, match="none of them shows anything"):
+    with refuses():
         rank_views(away, ball(), SHARP, 4)
-    with pytest.raises(InputError, match="3 points, too few"):
+    with refuses():
         points_as_gaussians(np.eye(3))
 
 
-@pytest.mark.parametrize(("text", "total"), [(None, None), ("60", 60), ("+40", 45)])
-def test_numbers_of_photographs(text: str | None, total: int | None) -> None:
-    assert total_wanted(text, 5) == total
-
-
-@pytest.mark.parametrize("text", ["0", "-3", "+", "some", "1.5", "+0", "10000000000"])
-def test_what_is_not_a_number_of_photographs(text: str) -> None:
-    with pytest.raises(InputError, match="expected a number such as 60, more as \\+40, or all"):
-        total_wanted(text, 5)
+def test_numbers_of_photographs() -> None:
+    assert [total_wanted(text, 5) for text in (None, "60", "+40")] == [None, 60, 45]
+    for text in ("0", "-3", "+", "some", "1.5", "+0", "10000000000"):
+        with refuses():
+            total_wanted(text, 5)

@@ -13,7 +13,8 @@ import pytest
 from PIL import Image, ImageOps
 
 from mask_samples import smooth_image
-from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from messages import refuses, warns
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
 from scoup.scene import Cameras
@@ -41,7 +42,7 @@ def test_orientation_is_undone_for_models_and_put_back_for_cameras(tmp_path: Pat
     for name, expected in (
         ("m.png", left),
         ("dynamic_mask_a.png", ~left),
-    ):  # instant-ngp's is the other way round
+    ):  # instant-ngp's: the other way round
         masked = read_photograph(path, mask=tmp_path / name).masked
         assert masked is not None
         assert (pixels.as_stored(masked) == expected).all()
@@ -94,7 +95,7 @@ def test_what_is_no_photograph(tmp_path: Path) -> None:
     (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:300])
     (tmp_path / "text.png").write_text("no image")
     for name in ("float.tif", "cut.jpg", "text.png"):
-        with pytest.raises(FileFormatError, match=name):
+        with refuses(FileFormatError):
             read_photograph(tmp_path / name)
 
 
@@ -105,12 +106,10 @@ def test_reading_ahead_keeps_order_and_errors(tmp_path: Path) -> None:
     photographs = [Photograph(f"{number}.png", tmp_path / f"{number}.png") for number in range(7)]
     seen = list(read_ahead(photographs, None))
     assert [item.name for item, _ in seen] == [f"{number}.png" for number in range(7)]
-    for number, (_, result) in enumerate(seen):
-        if number == 3:
-            assert isinstance(result, ScoupError)
-        else:
-            assert not isinstance(result, ScoupError)
-            assert (result.image == number).all()
+    assert isinstance(seen.pop(3)[1], ScoupError)
+    for item, result in seen:
+        assert not isinstance(result, ScoupError)
+        assert (result.image == int(item.name[0])).all()
     stopped = read_ahead(photographs, None)
     next(stopped)
     stopped.close()  # interrupted: the threads end
@@ -130,18 +129,15 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
     cameras = [make_camera(30, 20, name=name) for name in ("b.png", "gone.png")]
     write_colmap(Cameras(cameras), folder / "sparse" / "0", overwrite=True)
-    with pytest.warns(ScoupWarning, match=r"have no regions \(looked for .*images_2/gone\.png\)"):
+    with warns(ScoupWarning):
         assert [item.name for item in find_photographs(folder)] == ["b.png"]
     (folder / "images_2" / "b.png").unlink()
-    with pytest.raises(
-        FileFormatError, match=r"none of their photographs was found \(looked for .*b\.png and others\)"
-    ):
+    with refuses(FileFormatError):
         find_photographs(folder)
-    with pytest.raises(MissingFileError, match="no such scene"):
-        find_photographs(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFileError, match="contains no photographs"):
-        find_photographs(tmp_path / "empty")
+    for name in ("nowhere", "empty"):
+        with refuses(MissingFileError):
+            find_photographs(tmp_path / name)
 
 
 def test_threads_that_decode_leave_the_filters_of_warnings_alone(tmp_path: Path, monkeypatch) -> None:

@@ -14,7 +14,9 @@ from PIL import Image
 import scoup
 from cli_support import snapshot
 from mask_samples import smooth_image
-from scoup.base import InputError, Part, ScoupError, ScoupWarning
+from messages import refuses, warns
+from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.parts import Part
 from scoup.extract import (
     Masks,
     MaskSettings,
@@ -153,15 +155,14 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
     photographs, out = find_photographs(folder), tmp_path / "out"
     extract(photographs, out, Blocks(), PlainColors())
     before = snapshot(out)
-    with pytest.raises(InputError, match=r"max.height: .*another folder.*`overwrite=True`"):
-        extract(photographs, out, Blocks(), PlainColors(), max_height=10)
-    with pytest.raises(InputError, match=r"side: 16, not 8"):
-        extract(photographs, out, Blocks(16), PlainColors())
+    for side, most in ((8, 10), (16, 1080)):
+        with refuses():
+            extract(photographs, out, Blocks(side), PlainColors(), max_height=most)
     assert snapshot(out) == before
     # Given up for other settings, and interrupted: what is left of the old ones does not count.
     with pytest.raises(KeyboardInterrupt):
         extract(photographs, out, Stops(16, 1), PlainColors(), overwrite=True)
-    with pytest.warns(ScoupWarning, match="skipped 3 of 4 cameras"):
+    with warns(ScoupWarning):
         assert scoup.load_regions(out, cameras).view_names == ("0.png",)
     report = extract(photographs, out, Blocks(16), PlainColors())
     assert (len(report.made), report.kept) == (3, 1)
@@ -175,7 +176,7 @@ def test_features_made_by_others_are_left_alone(tmp_path: Path) -> None:
     np.save(out / "0_s.npy", np.zeros((4, 2, 2), np.float32))
     before = snapshot(out)
     for overwrite in (False, True):
-        with pytest.raises(InputError, match="not made by scoup"):
+        with refuses():
             extract(find_photographs(folder), out, Blocks(), PlainColors(), overwrite=overwrite)
     assert snapshot(out) == before
 
@@ -185,17 +186,17 @@ def test_photographs_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     photographs = find_photographs(folder)
     for name in ("1.png", "3.png"):
         (folder / "images" / name).write_text("damaged")
-    with pytest.warns(ScoupWarning, match=r"skipped 2 of 4 photographs .*1\.png"):
+    with warns(ScoupWarning):
         report = extract(photographs, tmp_path / "out", Blocks(), PlainColors())
     assert (report.made, list(report.skipped)) == (["0.png", "2.png"], ["1.png", "3.png"])
-    with pytest.raises(ScoupError, match="no photograph could be read"):
+    with refuses(ScoupError):
         extract(photographs[1:2], tmp_path / "other", Blocks(), PlainColors())
 
 
 def test_two_photographs_of_one_stem_are_refused(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path)
     Image.fromarray(smooth_image(9, 9)).save(folder / "images" / "1.jpg")
-    with pytest.raises(InputError, match=r"share the feature name '1'"):
+    with refuses():
         extract(find_photographs(folder), tmp_path / "out", Blocks(), PlainColors())
     assert not (tmp_path / "out").exists()
 
@@ -256,11 +257,8 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
         "embedder": "some/clip", "embedder_revision": "",
     }  # fmt: skip
     write_manifest(tmp_path, RegionManifest("some/clip", record))
-    settings = MaskSettings()
-    registry.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path)
-    registry.open_pair("sam-vit-b", "some/clip", settings, resumed=tmp_path)
-    registry.open_pair("sam-vit-h", "some/clip", settings, resumed=None)
-    registry.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path / "nowhere")
+    for name, resumed in (("h", tmp_path), ("b", tmp_path), ("h", None), ("h", tmp_path / "nowhere")):
+        registry.open_pair(f"sam-vit-{name}", "some/clip", MaskSettings(), resumed=resumed)
     assert [revision for _, revision in opened[::2]] == ["abc", None, None, None]
     assert [revision for _, revision in opened[1::2]] == [None] * 4
 

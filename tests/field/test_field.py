@@ -7,12 +7,13 @@ import torch
 from safetensors.torch import save_file
 
 import scoup
-from scoup.base import FileFormatError, InputError, OutputExistsError
-from scoup.field.field import GeometryMismatchError
-from scoup.field.field_info import FieldInfo
-from scoup.query import LanguageField, build
-from scoup.scene import index_dtype
-from scoup.uplift import BuildSettings, FieldSources
+from messages import refuses
+from scoup.base.errors import FileFormatError, GeometryMismatchError, OutputExistsError
+from scoup.query.language_field import LanguageField, build
+from scoup.scene.codes import index_dtype
+from scoup.scene.field_info import FieldInfo
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.provenance import FieldSources
 from support import altered, random_gaussians, small_scene, unit
 from uplift.edits import joined
 
@@ -51,20 +52,17 @@ def test_relevancy_equals_decoding_to_d_dimensions(scene, tmp_path, n_atoms):
     actual = back.relevancy(cameras[0], queries, canonical)
     own = back.gaussian_relevancy(queries, canonical)
     for s, level in enumerate(back.levels):
-        features = back.render_features(cameras[0], level)
-        against = (features @ canonical.T).amax(-1, keepdim=True)
-        expected = torch.sigmoid(10 * (features @ queries.T - against)).permute(2, 0, 1)
-        assert torch.allclose(actual[s], expected, atol=1e-4)
-        decoded = back.gaussian_features(level)
-        best = (decoded @ canonical.T).amax(1, keepdim=True)
-        assert torch.allclose(own[s].T, torch.sigmoid(10 * (decoded @ queries.T - best)), atol=1e-4)
+        rendered, decoded = back.render_features(cameras[0], level), back.gaussian_features(level)
+        for found, features in ((actual[s].permute(1, 2, 0), rendered), (own[s].T, decoded)):
+            best = (features @ canonical.T).amax(-1, keepdim=True)
+            assert torch.allclose(found, torch.sigmoid(10 * (features @ queries.T - best)), atol=1e-4)
 
 
 def test_eight_bit_weights_are_close(field, tmp_path):
     field.save(tmp_path / "f.scoup", weight_bits=8)
     back = LanguageField.load(tmp_path / "f.scoup")
     assert (back.code_weights.float() - field.code_weights.float()).abs().max() <= 1.5 / 255
-    with pytest.raises(InputError, match="8 or 16"):
+    with refuses():
         field.save(tmp_path / "g.scoup", weight_bits=4)
 
 
@@ -78,10 +76,10 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     (tmp_path / "scene").rename(tmp_path / "moved")
     path = tmp_path / "moved" / "f.scoup"
     assert len(LanguageField.load(path).gaussians) == len(gaussians)
-    with pytest.raises(GeometryMismatchError, match="not the geometry"):
+    with refuses(GeometryMismatchError):
         LanguageField.load(path, random_gaussians(len(gaussians), 77))
     (tmp_path / "moved" / "splat.ply").unlink()
-    with pytest.raises(FileFormatError, match=r"splat\.ply"):
+    with refuses(FileFormatError):
         _ = LanguageField.load(path).gaussians
     assert LanguageField.load(path, stored).gaussians is stored
 
@@ -112,7 +110,7 @@ def test_links_to_a_field_lead_to_what_it_names(scene, tmp_path):
 def test_nothing_is_overwritten_unless_wanted(field, tmp_path):
     path = tmp_path / "f.scoup"
     path.write_bytes(b"precious")
-    with pytest.raises(OutputExistsError, match="overwrite"):
+    with refuses(OutputExistsError):
         field.save(path)
     assert path.read_bytes() == b"precious"
     field.save(path, overwrite=True)
@@ -128,35 +126,25 @@ def test_eight_bits_take_no_code_away(scene, tmp_path):
     assert LanguageField.load(tmp_path / "f.scoup").coded().all()
 
 
-def test_wrong_queries_are_refused(scene, field):
-    with pytest.raises(InputError, match="16 dimensions"):
-        field.relevancy(scene[1][0], torch.randn(1, 17), torch.randn(1, 17))
-    with pytest.raises(InputError, match="no level 'x'"):
-        field.render_features(scene[1][0], "x")
-
-
 def test_parts_that_do_not_fit_are_refused(field):
-    info = field.info
-    good = (field.code_indices, field.code_weights, field.codebook)
-    for bad, message in [
-        ((good[0][:, :2], good[1], good[2]), r"code_indices is uint8 .*, expected"),
-        ((good[0], good[1][..., :1], good[2]), r"code_weights is float16 .*, expected"),
-        ((good[0], good[1], good[2][:2]), r"codebook is float32 .*, expected"),
-        ((good[0], good[1], good[2].bfloat16()), "bfloat16 cannot be used"),
-        ((good[0].clone().fill_(8), good[1], good[2]), "beyond the 8 atoms"),
-        ((good[0], -good[1], good[2]), "negative"),
-        ((good[0], good[1], good[2] * torch.nan), "finite"),
-    ]:
-        with pytest.raises(InputError, match=message):
-            LanguageField(*bad, info)
-    with pytest.raises(InputError, match=r"expected uint8 or uint16 .* with N = 3"):
-        LanguageField(*good, FieldInfo(info.levels, "", info.fingerprint, 3))
+    info, indices, weights, codebook = field.info, field.code_indices, field.code_weights, field.codebook
+    for parts in (
+        (indices[:, :2], weights, codebook, info),
+        (indices, weights[..., :1], codebook, info),
+        (indices, weights, codebook[:2], info),
+        (indices, weights, codebook.bfloat16(), info),
+        (indices.clone().fill_(8), weights, codebook, info),
+        (indices, -weights, codebook, info),
+        (indices, weights, codebook * torch.nan, info),
+        (indices, weights, codebook, FieldInfo(info.levels, "", info.fingerprint, 3)),
+    ):
+        with refuses():
+            LanguageField(*parts)
 
 
 def test_other_files_are_named_for_what_they_are(tmp_path):
-    path = tmp_path / "x.scoup"
-    with pytest.raises(FileFormatError, match="no such file"):
-        LanguageField.load(path)
-    save_file({"a": torch.zeros(3)}, path)
-    with pytest.raises(FileFormatError, match="not a SCOUP language field"):
-        LanguageField.load(path)
+    with refuses(FileFormatError):
+        LanguageField.load(tmp_path / "x.scoup")
+    save_file({"a": torch.zeros(3)}, tmp_path / "x.scoup")
+    with refuses(FileFormatError):
+        LanguageField.load(tmp_path / "x.scoup")

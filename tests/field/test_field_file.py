@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import struct
+import zlib
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,8 @@ from hypothesis import strategies as st
 
 from field.conftest import field_with_things
 from field_files import parts_of, write_parts
-from scoup.base import FileFormatError
-from scoup.base.errors import FieldVersionError
+from messages import refuses
+from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
 from scoup.query import LanguageField
@@ -28,19 +29,15 @@ def check_same(one: LanguageField, other: LanguageField) -> None:
         assert torch.equal(getattr(one, name), getattr(other, name)), name
         assert getattr(one, name).dtype == getattr(other, name).dtype
     assert one.info == other.info
-    assert one.thing_table is not None
-    assert other.thing_table is not None
     for name, part in vars(other.thing_table).items():
         mine = getattr(one.thing_table, name)
         assert mine.equal(part) if isinstance(part, torch.Tensor) else mine.texts == part.texts, name
     assert one.gaussians.fingerprint() == other.gaussians.fingerprint()
     assert torch.equal(one.gaussians.sh, other.gaussians.sh)
-    assert one.cameras is not None
-    assert other.cameras is not None
-    assert [camera.fingerprint() for camera in one.cameras] == [
-        camera.fingerprint() for camera in other.cameras
+    cameras = [
+        [(camera.name, camera.fingerprint()) for camera in each.cameras or ()] for each in (one, other)
     ]
-    assert one.cameras.names == other.cameras.names
+    assert cameras[0] == cameras[1] != []
 
 
 def test_the_version_is_read(whole: Path) -> None:
@@ -50,40 +47,31 @@ def test_the_version_is_read(whole: Path) -> None:
 
 def test_what_the_checksums_are_of(whole: Path) -> None:
     """As docs/formats.md says, so that others can check and write them."""
-    import zlib
-
     header, tensors = parts_of(whole)
     assert header["checksums"].keys() == tensors.keys()
-    codebook = tensors["codebook"].numpy()
-    described = b"float32 [3, 4, 8]\n" + codebook.tobytes()
+    described = b"float32 [3, 4, 8]\n" + tensors["codebook"].numpy().tobytes()
     assert header["checksums"]["codebook"] == f"{zlib.crc32(described):08x}"
     text = json.dumps({**header, "checksum": "00000000"}, sort_keys=True)
     assert header["checksum"] == f"{zlib.crc32(text.encode()):08x}"
-
-
-def test_checksums_know_type_and_shape() -> None:
     numbers = torch.arange(6, dtype=torch.float32)
-    checksums = {
-        tensor_checksum(item)
-        for item in (numbers, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view(torch.int32))
-    }
-    assert len(checksums) == 4
-    assert tensor_checksum(numbers.reshape(2, 3).T) == tensor_checksum(numbers.reshape(2, 3).T.contiguous())
+    shapes = (numbers, numbers.reshape(2, 3), numbers.reshape(3, 2), numbers.view(torch.int32))
+    assert len({tensor_checksum(each) for each in shapes}) == 4
+    turned = numbers.reshape(2, 3).T
+    assert tensor_checksum(turned) == tensor_checksum(turned.contiguous())
     for kind in (torch.uint8, torch.uint16, torch.float16, torch.float64, torch.int32):
         assert len(tensor_checksum(torch.zeros(0, 3, dtype=kind))) == 8
 
 
-def test_a_newer_version_is_an_error_of_its_own(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [7, 0, -1, True, "2", 2.0, None, [2]])
+def test_a_newer_version_is_an_error_of_its_own(whole: Path, tmp_path: Path, version: object) -> None:
     header, tensors = parts_of(whole)
-    write_parts(tmp_path / "f.scoup", {**header, "version": 7}, tensors)
-    with pytest.raises(FieldVersionError) as caught:
+    write_parts(tmp_path / "f.scoup", {**header, "version": version}, tensors)
+    with refuses(FileFormatError) as caught:
         LanguageField.load(tmp_path / "f.scoup")
-    assert str(caught.value) == (
-        f"{tmp_path}/f.scoup: was written by a newer SCOUP (format version 7, this one reads up to 1); "
-        "update it: pip install -U scoup"
-    )
-    assert (caught.value.version, caught.value.newest) == (7, VERSION)
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+    assert isinstance(caught.value, FieldVersionError) == (version == 7)
+    if isinstance(caught.value, FieldVersionError):
+        assert (caught.value.version, caught.value.newest) == (7, VERSION)
+        assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 def test_the_codebook_begins_where_torch_would_put_it(whole: Path, tmp_path: Path) -> None:
@@ -96,33 +84,19 @@ def test_the_codebook_begins_where_torch_would_put_it(whole: Path, tmp_path: Pat
         assert LanguageField.load(tmp_path / f"{length}.scoup").codebook.data_ptr() % 64 == 0
 
 
-@pytest.mark.parametrize("version", [0, -1, True, "2", 2.0, None, [2]])
-def test_versions_that_never_were(whole: Path, tmp_path: Path, version: object) -> None:
-    header, tensors = parts_of(whole)
-    write_parts(tmp_path / "f.scoup", {**header, "version": version}, tensors)
-    with pytest.raises(FileFormatError, match="format version") as caught:
-        LanguageField.load(tmp_path / "f.scoup")
-    assert not isinstance(caught.value, FieldVersionError)
-
-
 def test_what_is_damaged_is_named(whole: Path, tmp_path: Path) -> None:
     header, tensors = parts_of(whole)
+    damaged = [({**header, "embedding_model": "another/model"}, tensors)]
+    damaged += [(header, {**tensors, "more": torch.zeros(2)})]
+    damaged += [({name: value for name, value in header.items() if name != "checksum"}, tensors)]
     for name, tensor in tensors.items():
         changed = tensor.clone()
         changed.view(torch.uint8).view(-1)[0] ^= 1
-        write_parts(tmp_path / "f.scoup", header, {**tensors, name: changed})
-        with pytest.raises(FileFormatError, match=rf"damaged \(checksum of {name}\); build the field again"):
+        damaged += [(header, {**tensors, name: changed})]
+    for parts in damaged:
+        write_parts(tmp_path / "f.scoup", *parts)
+        with refuses(FileFormatError):
             LanguageField.load(tmp_path / "f.scoup")
-    write_parts(tmp_path / "f.scoup", {**header, "embedding_model": "another/model"}, tensors)
-    with pytest.raises(FileFormatError, match=r"is damaged \(checksum of the header\)"):
-        LanguageField.load(tmp_path / "f.scoup")
-    write_parts(tmp_path / "f.scoup", header, {**tensors, "more": torch.zeros(2)})
-    with pytest.raises(FileFormatError, match=r"is damaged \(its header names other tensors\)"):
-        LanguageField.load(tmp_path / "f.scoup")
-    del header["checksum"]
-    write_parts(tmp_path / "f.scoup", header, tensors)
-    with pytest.raises(FileFormatError, match="lacks 'checksum'"):
-        LanguageField.load(tmp_path / "f.scoup")
 
 
 def check_flipped(whole: Path, content: bytes, bit: int, target: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,8 @@ import pytest
 import torch
 
 from field_files import parts_of
+from messages import refuses
 from planted_wall import SETTINGS, planted_wall
-from scoup.base import InputError
 from scoup.field import Field
 from scoup.field.checks import MOST_THINGS
 from scoup.field.thing_table import NO_THING, ThingTable
@@ -51,19 +50,6 @@ def assert_same(one: ThingTable | None, other: ThingTable | None) -> None:
         assert mine.equal(theirs), name
 
 
-@pytest.mark.parametrize("weight_bits", [16, 8])
-def test_files_give_things_back_bit_by_bit(field: LanguageField, tmp_path: Path, weight_bits: int) -> None:
-    path = tmp_path / "f.scoup"
-    field.save(path, weight_bits=weight_bits)
-    back = LanguageField.load(path, field.gaussians)
-    assert_same(back.thing_table, field.thing_table)
-    assert bool((things_of(back).owners == NO_THING).any())
-    assert bool((things_of(back).parents == NO_THING).any())
-    assert bool((things_of(back).parents != NO_THING).any())
-    back.save(tmp_path / "again.scoup", weight_bits=weight_bits)
-    assert_same(LanguageField.load(tmp_path / "again.scoup", field.gaussians).thing_table, field.thing_table)
-
-
 def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -> None:
     field.save(tmp_path / "f.scoup")
     _, tensors = parts_of(tmp_path / "f.scoup")
@@ -73,37 +59,33 @@ def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -
         kept, numbers = tensors[f"things.{name}"], getattr(things_of(field), name)
         assert kept.dtype == torch.uint16
         assert kept.int().equal(torch.where(numbers == NO_THING, MOST_THINGS, numbers))
+    with_things(field, None).save(tmp_path / "none.scoup")
+    assert not [name for name in parts_of(tmp_path / "none.scoup")[1] if name.startswith("things.")]
+    assert LanguageField.load(tmp_path / "none.scoup", field.gaussians).thing_table is None
 
 
-def test_a_field_without_things_has_none_in_its_file(field: LanguageField, tmp_path: Path) -> None:
-    with_things(field, None).save(tmp_path / "f.scoup")
-    _, tensors = parts_of(tmp_path / "f.scoup")
-    assert not [name for name in tensors if name.startswith("things.")]
-    assert LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table is None
-
-
-@pytest.mark.parametrize("count", [0, MOST_THINGS])
-def test_files_contain_any_number_of_things(field: LanguageField, tmp_path: Path, count: int) -> None:
+@pytest.mark.parametrize(("count", "weight_bits"), [(0, 16), (None, 8), (MOST_THINGS, 16)])
+def test_files_contain_any_number_of_things(
+    field: LanguageField, tmp_path: Path, count: int | None, weight_bits: int
+) -> None:
     """Of as many as there may be, 65534 is a thing, and 65535 in a file is none."""
     things = things_of(field)
-    rows = torch.arange(count).clamp(max=len(things) - 1)
-    parts: dict[str, Any] = {name: getattr(things, name)[rows] for name in PARTS if name != "owners"}
-    owners = things.owners.clone() if count else torch.full_like(things.owners, NO_THING)
-    owners[5, 1] = count - 1  # NO_THING of none
-    other = ThingTable(owners, **parts)
-    with_things(field, other).save(tmp_path / "f.scoup")
-    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, other)
+    if count is not None:
+        rows = torch.arange(count).clamp(max=len(things) - 1)
+        parts: dict[str, Any] = {name: getattr(things, name)[rows] for name in PARTS if name != "owners"}
+        owners = things.owners.clone() if count else torch.full_like(things.owners, NO_THING)
+        owners[5, 1] = count - 1  # NO_THING of none
+        things = ThingTable(owners, **parts)
+    with_things(field, things).save(tmp_path / "f.scoup", weight_bits=weight_bits)
+    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, things)
 
 
 def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) -> None:
-    things = things_of(field)
-    mask = torch.zeros(len(field), dtype=torch.bool)
+    things, mask = things_of(field), torch.zeros(len(field), dtype=torch.bool)
     mask[40:400:3] = True
-    for chosen in (mask, mask.numpy(), mask.nonzero()[:, 0].tolist()):
-        part = things_of(field[chosen])
-        assert part.owners.equal(things.owners[mask])
-        assert_same(replace(part, owners=things.owners), things)
     some = field[mask]
+    assert things_of(some).owners.equal(things.owners[mask])
+    assert_same(replace(things_of(some), owners=things.owners), things)
     some.save(tmp_path / "part.scoup")
     assert_same(LanguageField.load(tmp_path / "part.scoup").thing_table, some.thing_table)
     backwards = list(range(len(field)))[::-1]
@@ -113,10 +95,8 @@ def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) 
 
 
 def test_other_gaussians_one_for_one_keep_their_owners(field: LanguageField) -> None:
-    moved = replace(field.gaussians, means=field.gaussians.means + 1)
+    moved = replace(field.gaussians, means=field.gaussians.means + 1, opacities=field.gaussians.opacities / 2)
     assert_same(field.with_gaussians(moved).thing_table, field.thing_table)
-    faded = replace(field.gaussians, opacities=field.gaussians.opacities * 0.5)
-    assert_same(field.with_gaussians(faded).thing_table, field.thing_table)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
@@ -127,17 +107,12 @@ def test_fields_move_to_a_gpu_with_their_things(field: LanguageField) -> None:
     assert things_of(moved[10:20]).owners.cpu().equal(things_of(field).owners[10:20])
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda things: replace(things, owners=things.owners[:-1]),
-        lambda things: replace(things, owners=things.owners[:, :1].expand(-1, 3).contiguous()),
-        lambda things: replace(things, embeddings=things.embeddings[:, :-1]),
-    ],
-    ids=["Gaussians", "levels", "dimensions"],
-)
-def test_things_of_another_field_are_refused(
-    field: LanguageField, change: Callable[[ThingTable], ThingTable]
-) -> None:
-    with pytest.raises(InputError, match="do not fit codes"):
-        with_things(field, change(things_of(field)))
+def test_things_of_another_field_are_refused(field: LanguageField) -> None:
+    things = things_of(field)
+    for other in (
+        replace(things, owners=things.owners[:-1]),
+        replace(things, owners=things.owners[:, :1].expand(-1, 3).contiguous()),
+        replace(things, embeddings=things.embeddings[:, :-1]),
+    ):
+        with refuses():
+            with_things(field, other)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base import FileFormatError, InputError, ScoupError
+from messages import refuses
+from scoup.base.errors import FileFormatError, ScoupError
 from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 
@@ -45,16 +46,9 @@ def test_the_network_is_used_only_if_the_files_are_not_here(monkeypatch) -> None
 def test_without_a_hub_nothing_is_tried_and_the_way_round_is_told(monkeypatch) -> None:
     calls, load = failing(OSError("not here"))
     monkeypatch.setattr(hub, "_no_hub", lambda: "HUB cannot be reached")
-    with pytest.raises(ScoupError) as caught:
+    with refuses(ScoupError):
         load_pretrained(REQUEST, load)
     assert len(calls) == 1
-    message = str(caught.value)
-    assert message.startswith(
-        "embedder 'some/model' cannot be loaded: it is not, or not completely, on this machine"
-    )
-    assert "HUB cannot be reached" in message
-    assert "hf download some/model --local-dir FOLDER" in message
-    assert message.endswith("or do without")
 
 
 @pytest.mark.parametrize(("variable", "is_asked"), [("", True), ("HTTPS_PROXY", False)])
@@ -79,7 +73,7 @@ def test_whether_a_hub_answers_is_asked_unless_a_proxy_stands_between(
 
 def test_a_model_of_the_wrong_kind_is_not_tried_again() -> None:
     calls, load = failing(ScoupError("it is a cat"))
-    with pytest.raises(ScoupError, match=r"^embedder 'some/model' cannot be loaded: it is a cat$"):
+    with refuses(ScoupError):
         load_pretrained(REQUEST, load)
     assert len(calls) == 1
 
@@ -87,18 +81,18 @@ def test_a_model_of_the_wrong_kind_is_not_tried_again() -> None:
 def test_a_folder_is_not_searched_on_the_hub(tmp_path: Path) -> None:
     calls, load = failing(ValueError("damaged\nin many lines"))
     request = ModelRequest("segmenter", "short", "do without", str(tmp_path))
-    with pytest.raises(ScoupError, match=r"'short' cannot be loaded \(damaged\); .* or do without$"):
+    with refuses(ScoupError):
         load_pretrained(request, load)
     assert [files.model_id for files in calls] == [str(tmp_path)]
     for name in ("tf_model.h5", "model.fp16.safetensors", "model.safetensors"):
-        with pytest.raises(ScoupError, match="damaged"):  # files that are not read do not matter
+        with refuses(ScoupError):  # files that are not read do not matter
             load_pretrained(request, load)
         (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
-    with pytest.raises(FileFormatError, match=r"model\.safetensors: is a pointer of Git LFS"):
+    with refuses(FileFormatError):
         load_pretrained(request, load)
 
 
 def test_names_of_open_clip() -> None:
     for name in ("open_clip:", "open_clip:A", "open_clip:A/", "open_clip:/b"):
-        with pytest.raises(InputError, match="ARCHITECTURE/PRETRAINED"):
+        with refuses():
             load_open_clip(ModelRequest("embedder", name, "do without"), "cpu")

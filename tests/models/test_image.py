@@ -76,8 +76,7 @@ def test_open_clip_models_are_used_through_their_own_interface(monkeypatch) -> N
     assert created == [("ViT-B-16", "laion2b_s34b_b88k", "cpu")]
     assert (embedder.dim, embedder.side, embedder.name) == (6, 10, "open_clip:ViT-B-16/laion2b_s34b_b88k")
     crops = torch.from_numpy(smooth_image(10, 10))[None]
-    pixels = (crops.permute(0, 3, 1, 2) / 255 - torch.tensor([0.2, 0.3, 0.4]).view(3, 1, 1)) / torch.tensor(
-        [0.5, 0.6, 0.7]
-    ).view(3, 1, 1)
+    mean, std = (torch.tensor(each).view(3, 1, 1) for each in ([0.2, 0.3, 0.4], [0.5, 0.6, 0.7]))
+    pixels = (crops.permute(0, 3, 1, 2) / 255 - mean) / std
     expected = torch.nn.functional.normalize(pixels.flatten(1) @ weights, dim=1)
     torch.testing.assert_close(embedder.embed(crops), expected)

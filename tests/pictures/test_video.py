@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scoup.base import InputError, ScoupError
+from messages import refuses
+from scoup.base.errors import ScoupError
 from scoup.pictures.video import check_video_writer, save_video
 
 ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
@@ -34,40 +35,28 @@ def read(path: Path) -> tuple[dict, list[np.ndarray]]:
 @pytest.mark.parametrize(("height", "width"), [(36, 48), (37, 49)])
 def test_a_video_shows_its_frames(tmp_path: Path, height: int, width: int) -> None:
     given = frames(9, height, width)
-    save_video(iter(given), tmp_path / "a.mp4", 12.5)
+    for name in ("a.mp4", "b.mp4"):
+        save_video(iter(given), tmp_path / name, 12.5)
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
     facts, found = read(tmp_path / "a.mp4")
-    assert facts["size"] == (48, 36)
-    assert facts["fps"] == 12.5
-    assert len(found) == 9
+    assert (facts["size"], facts["fps"], len(found)) == ((48, 36), 12.5, 9)
     for one, other in zip(given, found, strict=True):
         assert np.abs(one[:36, :48].astype(int) - other).mean() < 12
 
 
-def test_the_same_frames_give_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.mp4", "b.mp4"):
-        save_video(frames(5), tmp_path / name, 24)
-    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
-
-
 def test_what_makes_no_video_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no picture"):
-        save_video([], tmp_path / "a.mp4", 24)
-    with pytest.raises(InputError, match="differ in size"):
-        save_video([*frames(2), *frames(1, 20, 20)], tmp_path / "b.mp4", 24)
-    with pytest.raises(InputError, match="make no video"):
-        save_video(frames(1, 1, 9), tmp_path / "c.mp4", 24)
+    for given in ([], [*frames(2), *frames(1, 20, 20)], frames(1, 1, 9)):
+        with refuses():
+            save_video(given, tmp_path / "a.mp4", 24)
 
 
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(ScoupError, match=r"pip install 'scoup\[video\]'"):
-        check_video_writer()
-
-
-def test_a_missing_ffmpeg_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_ffmpeg_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def nowhere() -> str:
         raise RuntimeError("No ffmpeg exe could be found")
 
     monkeypatch.setattr(ffmpeg, "get_ffmpeg_exe", nowhere)
-    with pytest.raises(ScoupError, match="IMAGEIO_FFMPEG_EXE"):
+    with refuses(ScoupError):
+        check_video_writer()
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with refuses(ScoupError):
         check_video_writer()

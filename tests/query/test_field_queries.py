@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from messages import refuses
 from query.conftest import Queried
 from scoup import raster
-from scoup.base import InputError, MissingFileError, UnknownNameError
-from scoup.models import CANONICAL_PHRASES, TextEncoder, save_table
+from scoup.base.errors import InputError, MissingFileError, UnknownNameError
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
@@ -39,68 +43,57 @@ def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, T
         assert found.mask.equal(expected.mask)
         torch.testing.assert_close(found.heat, expected.heat, atol=1e-5, rtol=0)
     several = field.at(camera).answer(torch.stack([vector, table["word 4"]]))
-    assert isinstance(several, list)
     assert [answer.text for answer in several] == ["query 1", "query 2"]
     phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
     only = field.at(camera).answer(field.with_encoder(phrases).question(vector))
     assert (only[0].score, only[0].presence) == (None, True)  # four phrases are no words to judge presence by
 
 
-def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
-    field = queried.field.with_encoder(table)
-    with pytest.raises(UnknownNameError, match="word 1"):
+NAN, ONES = float("nan"), torch.ones(16)
+REFUSED: list[Callable[[Any, dict[str, Tensor]], object]] = [
+    lambda field, _: field.at(7).answer("word 1"),
+    *(lambda field, _, scale=scale: field.at(0, scale) for scale in (0, -1, NAN, float("inf"), "1")),
+    lambda field, _: field.gaussian_relevancy("word 1", ["object"]),
+    lambda field, _: field.answer([]),
+    *(lambda field, _, bad=bad: field.answer(bad) for bad in (NAN * ONES, 0 * ONES, ONES[1:], ONES.expand(2, 2, 16))),
+    *(lambda field, _, bad=bad: field.relevancy(0, bad * ONES, ONES) for bad in (NAN, float("inf"), 0)),
+    lambda field, _: field.relevancy(0, torch.ones(1, 17), torch.ones(1, 17)),
+    lambda field, _: field.gaussian_relevancy(ONES, torch.stack([ONES, 0 * ONES])),
+    lambda field, _: field.render_features(0, "x"),
+    lambda field, _: field.gaussian_features("xl"),
+    lambda field, _: field.question(ONES, level="x"),
+    *(lambda field, _, texts=texts: field.question(texts) for texts in (["word 1", 3], 5, None, {"word 1"})),
+    lambda field, _: field.question("word 1", present_from=NAN),
+    lambda field, _: field.question("word 1", present_from="a"),
+    lambda field, _: field.question("word 1", threshold="a"),
+    lambda field, _: field.with_encoder(3),
+
+    *(lambda field, _, bad=bad: field[bad] for bad in ([True] * 79, torch.tensor([80]), [-1], [[True] * 80])),
+    *(lambda field, _, bad=bad: field[bad] for bad in (torch.ones(3), None, "a", {1: 2})),
+    lambda field, table: nameless(field).at(field.camera(0)).answer("word 1"),
+    lambda field, table: nameless(field).at(0).answer(nameless(field).with_encoder(table).question("word 1")),
+]  # fmt: skip
+
+
+def nameless(field: LanguageField) -> LanguageField:
+    """It names no model and contains no cameras."""
+    return altered(field, info=replace(field.info, embedding_model=""), cameras=None)
+
+
+def test_what_cannot_be_asked(field: LanguageField, table: dict[str, Tensor]) -> None:
+    for ask in REFUSED:
+        with refuses():
+            ask(field, table)
+    with pytest.raises(InputError, match="must contain vectors"):  # and what torch says of it
+        field.with_encoder({"object": "abc"}).question("word 1")  # pyright: ignore[reportArgumentType]
+    with refuses(UnknownNameError):
         field.answer("wird 1")
-    with pytest.raises(UnknownNameError, match=r"view_00\.png"):
-        field.at("view_09.png").answer("word 1")
-    with pytest.raises(InputError, match="has 3"):
-        field.at(7).answer("word 1")
-    for scale in (0, -1, float("nan"), float("inf"), "1"):
-        with pytest.raises(InputError, match=f"`scale={scale}`: must be a number above 0"):
-            field.at(0, scale)  # pyright: ignore[reportArgumentType]
+    with refuses(UnknownNameError):
+        field.at("view_09.png")
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="must be vectors"):
-        field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="at least one text"):
-        field.answer([])
-    for bad in (torch.full((16,), torch.nan), torch.zeros(16), torch.ones(15), torch.ones(2, 2, 16)):
-        with pytest.raises(InputError, match="queries"):
-            field.answer(bad)
-    other = replace(field.info, embedding_model="")
-    nameless = altered(field, info=other, cameras=None)
-    with pytest.raises(InputError, match="names no embedding model"):
-        nameless.at(queried.camera).answer("word 1")
-    with pytest.raises(InputError, match="contains no cameras"):
-        nameless.at(0).answer(nameless.with_encoder(table).question("word 1"))
 
 
-@pytest.mark.parametrize(
-    ("texts", "options", "message"),
-    [
-        (["word 1", 3], {}, "expected a text, a list of texts, or vectors"),
-        (5, {}, "or vectors .* got int 5"),
-        (None, {}, "got NoneType"),
-        ({"word 1"}, {}, "got set"),
-        ("word 1", {"present_from": float("nan")}, "must be 0 to 1, got nan"),
-        ("word 1", {"present_from": "a"}, "presence must be 0 to 1, got a"),
-        ("word 1", {"threshold": "a"}, "the threshold must be 0 to 1, got a"),
-    ],
-)
-def test_what_is_no_query(
-    queried: Queried, table: dict[str, Tensor], texts: object, options: dict[str, object], message: str
-) -> None:
-    field = queried.field.with_encoder(table)
-    with pytest.raises(InputError, match=message):
-        field.question(texts, **options)  # pyright: ignore
-
-
-def test_what_is_no_encoder(queried: Queried) -> None:
-    with pytest.raises(InputError, match=r"LanguageField.*words.*int"):
-        queried.field.with_encoder(3)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="must contain vectors"):
-        queried.field.with_encoder({"object": "abc"}).question("word 1")  # pyright: ignore[reportArgumentType]
-
-
-def test_answers_are_drawn_by_the_field_s_rasteriser_and_shown_again_after_pickling(
+def test_answers_are_drawn_by_the_field_s_rasteriser_but_for_copies(
     queried: Queried, table: dict[str, Tensor]
 ) -> None:
     field = queried.field
@@ -112,8 +105,6 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_and_shown_again_after_pickl
     copy = pickle.loads(pickle.dumps(answer))
     assert copy.source is None
     assert copy.answer.to_dict() == answer.answer.to_dict()
-    assert_same_answer(other.at(0).show([copy.answer])[0], answer)
-    assert other.location(copy.answer).to_dict() == other.location(answer.answer).to_dict()
     assert copy.pictures()["mask"].equal(answer.mask)
 
 
@@ -133,7 +124,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     loaded.save(tmp_path / "saved.scoup")
     assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").at(0).answer("word 5"), other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
-    with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*`words`"):
+    with refuses(MissingFileError):
         LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
 
@@ -142,8 +133,7 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     queried: Queried, table: dict[str, Tensor], tmp_path: Path
 ) -> None:
     field = queried.field.with_encoder(table)
-    mask = torch.zeros(len(field), dtype=torch.bool)
-    mask[::2] = True
+    mask = torch.arange(len(field)) % 2 == 0
     part = field[mask]
     assert len(part) == int(mask.sum())
     assert part.fingerprint == field.gaussians.select(mask).fingerprint()
@@ -159,30 +149,10 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     loaded = LanguageField.load(tmp_path / "part.scoup", words=table)
     assert loaded.gaussians.fingerprint() == part.fingerprint
     assert_same_answer(loaded.at(0).answer("word 3"), part.at(0).answer("word 3"))
-    for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):
-        with pytest.raises(InputError, match="Gaussians"):
-            field[bad]
     nothing = field[[]]
     assert len(nothing) == 0
     assert "0 Gaussians" in nothing._repr_html_()
     assert field[10:20].fingerprint == field[list(range(10, 20))].fingerprint
-    for bad in (None, "a", {1: 2}):
-        with pytest.raises(InputError, match="chosen by a boolean mask"):
-            field[bad]  # pyright: ignore[reportArgumentType]
-
-
-def test_features_are_decoded_codes(queried: Queried) -> None:
-    field = queried.field
-    for level, name in enumerate(field.levels):
-        found = field.gaussian_features(name)
-        assert found.shape == (len(field), field.dim)
-        for row in range(0, len(field), 7):
-            atoms = field.codebook[level][field.code_indices[row, level].long()]
-            mixed = (field.code_weights[row, level].float()[:, None] * atoms).sum(0)
-            unit = mixed / mixed.norm() if mixed.any() else mixed
-            torch.testing.assert_close(found[row], unit, atol=1e-5, rtol=0)
-    with pytest.raises(InputError, match="no level"):
-        field.gaussian_features("xl")
 
 
 @pytest.mark.parametrize("scale", [7.0, 1e-3, 1e20])
@@ -195,17 +165,6 @@ def test_relevancy_is_of_directions(queried: Queried, scale: float) -> None:
     torch.testing.assert_close(
         of_gaussians, field.gaussian_relevancy(texts.queries, texts.canonical), atol=2e-6, rtol=0
     )
-
-
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf, 0.0])
-def test_what_has_no_direction_is_refused(queried: Queried, bad: float) -> None:
-    field, texts = queried.field, queried.texts
-    spoiled = texts.queries.clone()
-    spoiled[1] = bad
-    with pytest.raises(InputError, match="queries"):
-        field.relevancy(queried.camera, spoiled, texts.canonical)
-    with pytest.raises(InputError, match="canonical"):
-        field.gaussian_relevancy(texts.queries, spoiled)
 
 
 def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
@@ -232,8 +191,5 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         asked = field.with_encoder(table).question(texts.queries, level=np.int64(number))  # pyright: ignore
         assert asked.level == number
     best = next(iter(each_answer(field, texts)))
-    assert torch.equal(
-        best.mask, next(iter(each_answer(field, replace(texts, level=field.level_index(best.level))))).mask
-    )
-    with pytest.raises(InputError, match="no level"):
-        field.with_encoder(TextEncoder.open(table)).question(texts.queries, level="x")
+    own = next(iter(each_answer(field, replace(texts, level=field.level_index(best.level)))))
+    assert torch.equal(best.mask, own.mask)

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from messages import refuses
 from query.planted_room import FRONT, Box, planted_room
-from scoup.base import InputError
-from scoup.scene import Camera, estimate_up
+from scoup.scene.cameras import Camera
+from scoup.scene.up import estimate_up
 from support import examples
 
 # Right, down and forward of a camera that looks at the floor.
@@ -68,17 +69,14 @@ def test_cameras_that_look_straight_down_look_from_above(turned) -> None:
     assert float(estimate_up(cameras)[2]) > 0.999
 
 
-def test_from_above_the_top_of_the_image_is_away() -> None:
-    field = planted_room([Box("ball", (0, 0, 0), (1, 1, 1))], [looking_down("drone.png")])
-    frame = field.frame("drone.png", up=(0, 0, 2))
-    torch.testing.assert_close(frame.axes, torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]).double())
-
-
-@pytest.mark.parametrize("ahead", [0.0, 0.5])
-def test_left_and_right_of_a_camera_that_looks_up_are_its_own(ahead: float) -> None:
-    camera = Camera.look_at((0, 0, 0), (ahead, 0, 5), "sky.png", 64, 48, 50, up=(-1, 0, 0))
-    frame = planted_room([Box("ball", (0, 0, 4), (1, 1, 1))], [camera]).frame("sky.png", up=(0, 0, 1))
-    torch.testing.assert_close(frame.axes[0], camera.viewmat[0, :3])
+def test_where_a_camera_looks_along_up_its_image_says_what_is_right_and_away() -> None:
+    down = planted_room([Box("ball", (0, 0, 0), (1, 1, 1))], [looking_down("drone.png")])
+    axes = down.frame("drone.png", up=(0, 0, 2)).axes
+    torch.testing.assert_close(axes, torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]).double())
+    for ahead in (0.0, 0.5):
+        camera = Camera.look_at((0, 0, 0), (ahead, 0, 5), "sky.png", 64, 48, 50, up=(-1, 0, 0))
+        frame = planted_room([Box("ball", (0, 0, 4), (1, 1, 1))], [camera]).frame("sky.png", up=(0, 0, 1))
+        torch.testing.assert_close(frame.axes[0], camera.viewmat[0, :3])
 
 
 def test_axes_are_orthonormal_and_told() -> None:
@@ -102,7 +100,7 @@ def test_the_camera_that_sees_most_is_the_viewer() -> None:
     assert (alone.frame().seen_from, alone.frame().axes[1].tolist()) == ("", [0, 0, 1])
 
 
-@pytest.mark.parametrize("up", [(0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)])
-def test_what_is_no_direction_is_refused(up) -> None:
-    with pytest.raises(InputError, match="expected three numbers"):
-        planted_room().frame(up=up)
+def test_what_is_no_direction_is_refused() -> None:
+    for up in ((0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)):
+        with refuses():
+            planted_room().frame(up=up)

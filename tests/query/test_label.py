@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from messages import refuses
 from query.conftest import ASKED, Queried
-from scoup.base import InputError, UnknownNameError
+from scoup.base.errors import UnknownNameError
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.labels import NONE, labels_of_answers
@@ -45,23 +45,19 @@ def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
     for asked in (queried, voted):
         for question in (asked.texts, replace(asked.texts, threshold=0.3)):
             answers, found = list(each_answer(asked.field, question)), asked.field.label(question)
-            for name in ("level", "score", "presence", "things"):
-                each = tuple(getattr(answer, name) for answer in answers)
-                assert getattr(found, {"presence": name, "things": name}.get(name, f"{name}s")) == each
+            assert [*zip(found.levels, found.scores, found.presence, found.things, strict=True)] == [
+                (each.level, each.score, each.presence, each.things) for each in answers
+            ]
             for number, answer in enumerate(answers):
-                (only,) = {
-                    *asked.field.label(question.one(number)).mask(answer.text).eq(answer.mask).tolist()
-                }
-                assert only
+                assert asked.field.label(question.one(number)).mask(answer.text).equal(answer.mask)
             counts = found.counts()
             assert sum(counts.values()) == len(asked.field)
             for number, name in enumerate(found.names):
-                assert counts[name] == int(found.mask(name).sum()) == int((found.ids == number).sum())
-                assert set(found.instances[found.ids == number].tolist()) <= set(
-                    found.things[number] or [NONE]
-                )
+                mine = found.ids == number
+                assert counts[name] == int(found.mask(name).sum()) == int(mine.sum())
+                assert set(found.instances[mine].tolist()) <= set(found.things[number] or [NONE])
             assert found.mask("none").equal(found.ids == NONE)
-    with pytest.raises(UnknownNameError, match="word 1"):
+    with refuses(UnknownNameError):
         found.mask("word one")
 
 
@@ -80,7 +76,7 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried)
 
 def test_words_differ_from_each_other_and_from_none(queried: Queried) -> None:
     texts = replace(queried.texts, texts=("word 1", "none"), queries=queried.texts.queries[:2])
-    with pytest.raises(InputError, match="words that differ from 'none'"):
+    with refuses():
         queried.field.label(texts)
     once = queried.texts.one(1)
     twice = replace(once, texts=once.texts * 2, queries=once.queries.expand(2, -1))

@@ -16,6 +16,7 @@ from gltf_samples import features_of
 from query.conftest import Queried
 from scoup import raster
 from scoup.io import read_ply_table
+from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
@@ -44,19 +45,14 @@ def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
 
 
 def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianLabels) -> None:
-    found = label_map(queried.field.at(queried.camera), labels)
-    assert np.array_equal(found.numpy(), literal_map(queried, labels))
-    assert len(found.unique()) >= 3
-
-
-def test_maps_of_more_words_than_are_rendered_together(queried: Queried) -> None:
-    count = 2 * AT_A_TIME + 5
+    count = 2 * AT_A_TIME + 5  # more than are rendered together
     ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
     names = tuple(f"thing {number}" for number in range(count))
     facts = (None,) * count, (True,) * count, ("m",) * count, ((),) * count
-    many = GaussianLabels(ids, names, *facts, torch.full_like(ids, NONE))
-    found = label_map(queried.field.at(queried.camera), many)
-    assert np.array_equal(found.numpy(), literal_map(queried, many))
+    for each in (labels, GaussianLabels(ids, names, *facts, torch.full_like(ids, NONE))):
+        found = label_map(queried.field.at(queried.camera), each)
+        assert np.array_equal(found.numpy(), literal_map(queried, each))
+        assert len(found.unique()) >= 3
 
 
 def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
@@ -89,12 +85,6 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
     areas = {entry["category_id"] - 1: entry["area"] for entry in coco["annotations"]}
     counts = np.bincount(literal_map(queried, labels).ravel() + 1, minlength=12)[1:]
     assert areas == {number: count for number, count in enumerate(counts.tolist()) if count}
-
-
-def test_ids_in_a_glb(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
-    from scoup.io.splats.gltf import read_gltf
-
-    save_labels(queried.field, labels, tmp_path, ("glb",))
     assert features_of(tmp_path / "labels.glb") == (labels.ids.tolist(), labels.names)
     assert read_gltf(tmp_path / "labels.glb").means.equal(queried.field.gaussians.means)
 
@@ -144,9 +134,9 @@ def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
     labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)
     save_labels(queried.field, labels, tmp_path, ("usd",))
     stage = usd.Stage.Open(str(tmp_path / "labels.usdc"))
+    prims = stage.GetDefaultPrim().GetChildren()
     beyond = len(queried.field.thing_table or ())
-    names = {prim.GetName() for prim in stage.GetDefaultPrim().GetChildren()}
-    assert names == {"a_b_0", "a_b__0", f"a_b_{beyond}", f"a_b_{beyond + 1}"}
+    assert {prim.GetName() for prim in prims} == {"a_b_0", "a_b__0", f"a_b_{beyond}", f"a_b_{beyond + 1}"}
 
 
 def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:

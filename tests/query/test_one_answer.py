@@ -14,7 +14,7 @@ from children import finished
 from query.conftest import without_things
 from scoup import raster
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query import constants
+from scoup.query import constants, matching
 from scoup.query.answer import Answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question, literal
@@ -138,8 +138,9 @@ def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequen
         for number, answer in enumerate(answers[:3]):
             one = field.question(words[number], always=True)
             for alone in (answer, field.answer(one), field.select(one)):
-                assert view.show([alone])[0].mask.equal(seen[number].mask)
-            assert field.at(camera).show([answer])[0].mask.equal(seen[number].mask)
+                for shown in (view.show([alone])[0], field.at(camera).show([alone])[0]):
+                    assert shown.mask.equal(seen[number].mask)
+                    torch.testing.assert_close(shown.heat, seen[number].heat, atol=1e-5, rtol=0)
     if table is not None:
         check_catalog(field, answers)
 
@@ -158,9 +159,16 @@ def demo() -> tuple[LanguageField, list[str]]:
 
 
 @pytest.mark.parametrize("has_things", [True, False])
-def test_the_demo_scene(demo: tuple[LanguageField, list[str]], has_things: bool) -> None:
+def test_the_demo_scene(
+    demo: tuple[LanguageField, list[str]], has_things: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     field, words = demo
     assert field.cameras is not None
+    assert field.thing_table is not None
+    monkeypatch.setattr(
+        matching, "FITS_AT_A_TIME", 5 * len(field.thing_table)
+    )  # several passes for the words
+    assert len(words) > 10
     check_everything(field if has_things else without_things(field), words, list(field.cameras))
 
 

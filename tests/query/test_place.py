@@ -16,10 +16,11 @@ from torch import Tensor
 
 from query.conftest import ASKED
 from scoup.query.answer import Answer
-from scoup.query.boxes import PointSets
+from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.place import Place, place_of
-from scoup.query.things import MOST_LINKED, connected_parts, rough_parts
-from scoup.scene import Gaussians
+from scoup.query.things import MOST_LINKED, Thing, rough_parts
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import connected_parts
 from support import examples, gaussians_at
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -58,26 +59,30 @@ def turned(angle: float) -> Tensor:
     return torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]], dtype=torch.float64)
 
 
+def found_place(means: Tensor, **given: Tensor) -> tuple[Place, Tensor, OrientedBox, Thing]:
+    """The place of what is there, its position, box and thing."""
+    place = located(means, **given)
+    assert place.position is not None
+    assert place.box is not None
+    assert place.thing is not None
+    return place, place.position, place.box, place.thing
+
+
 def test_a_turned_block_is_found_where_it_is() -> None:
     centre = torch.tensor([3.0, -2.0, 5.0], dtype=torch.float64)
-    turn = turned(0.6)
-    found = located(block(4000, [2.0, 1.0, 0.5]) @ turn.T + centre)
-    assert found.position is not None
-    assert found.box is not None
-    assert (found.position - centre).norm() < 0.1
-    assert (found.box.centre - centre).norm() < 0.1
-    torch.testing.assert_close(
-        found.box.extent, torch.tensor([2.0, 1.0, 0.5], dtype=torch.float64), atol=0.1, rtol=0
-    )
-    assert abs(float(found.box.axes[0] @ turn[:, 0])) > 0.99
-    assert found.box.axes[2].tolist() == [0, 0, 1]  # without cameras, +z is up
-    assert float(torch.linalg.det(found.box.axes)) == pytest.approx(1)
-    assert found.thing is not None
-    assert (found.thing.n_gaussians, found.thing.text, found.thing.number) == (4000, "thing", None)
-    corners = found.box.corners()
+    turn, size = turned(0.6), torch.tensor([2.0, 1.0, 0.5], dtype=torch.float64)
+    found, position, box, thing = found_place(block(4000, size.tolist()) @ turn.T + centre)
+    assert (position - centre).norm() < 0.1
+    assert (box.centre - centre).norm() < 0.1
+    torch.testing.assert_close(box.extent, size, atol=0.1, rtol=0)
+    assert abs(float(box.axes[0] @ turn[:, 0])) > 0.99
+    assert box.axes[2].tolist() == [0, 0, 1]  # without cameras, +z is up
+    assert float(torch.linalg.det(box.axes)) == pytest.approx(1)
+    assert (thing.n_gaussians, thing.text, thing.number) == (4000, "thing", None)
+    corners = box.corners()
     assert corners.shape == (8, 3)
-    torch.testing.assert_close(corners.mean(0), found.box.centre)
-    assert found.to_dict()["box"]["extent"] == pytest.approx(found.box.extent.tolist(), rel=1e-4)
+    torch.testing.assert_close(corners.mean(0), box.centre)
+    assert found.to_dict()["box"]["extent"] == pytest.approx(box.extent.tolist(), rel=1e-4)
 
 
 @pytest.mark.parametrize("up", [(0.0, 0, 1), (0.0, -1, 0), (0.6, 0.0, -0.8)])
@@ -111,15 +116,11 @@ def test_a_square_box_lies_along_its_sides() -> None:
 
 def test_strays_do_not_move_it() -> None:
     thing, strays = block(500, [1.0, 1.0, 1.0]), block(60, [80.0, 80.0, 80.0], seed=1)
-    alone, found = located(thing), located(torch.cat([strays, thing]))
-    assert found.box is not None
-    assert alone.box is not None
-    assert alone.position is not None
-    assert found.position is not None
-    assert (found.position - alone.position).norm() < 0.1
-    assert found.box.extent.max() < 1.3 * alone.box.extent.max()
-    assert found.thing is not None
-    assert int((found.thing.gaussians < 60).sum()) <= 1
+    _, alone, small, _ = found_place(thing)
+    _, position, box, found = found_place(torch.cat([strays, thing]))
+    assert (position - alone).norm() < 0.1
+    assert box.extent.max() < 1.3 * small.extent.max()
+    assert int((found.gaussians < 60).sum()) <= 1
 
 
 @pytest.mark.parametrize(
@@ -133,10 +134,11 @@ def test_the_thing_is_meant_that_weighs_most_by_opacity_times_relevancy(
 ) -> None:
     counts = torch.tensor([100, 150])
     few, many = block(100, [1.0] * 3), block(150, [1.0] * 3, seed=1) + 10
-    each = (torch.tensor(values).repeat_interleave(counts) for values in (relevancies, opacities))
-    found = located(torch.cat([few, many]), *each)
-    assert found.position is not None
-    assert float(found.position[0]) == pytest.approx(position, abs=0.3)
+    relevancy, opacity = (
+        torch.tensor(values).repeat_interleave(counts) for values in (relevancies, opacities)
+    )
+    _, found, _, _ = found_place(torch.cat([few, many]), relevancy=relevancy, opacities=opacity)
+    assert float(found[0]) == pytest.approx(position, abs=0.3)
 
 
 def test_what_has_no_place() -> None:
@@ -149,13 +151,11 @@ def test_what_has_no_place() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 20])
 def test_a_few_gaussians_at_one_place_make_a_box_without_extent(count: int) -> None:
-    found = located(torch.full((count, 3), 2.5))
-    assert found.position is not None
-    assert found.box is not None
+    found, position, box, _ = found_place(torch.full((count, 3), 2.5))
     assert found.presence
-    assert found.position.tolist() == [2.5, 2.5, 2.5]
-    assert float(found.box.extent.abs().max()) < 1e-6
-    assert torch.isfinite(found.box.axes).all()
+    assert position.tolist() == [2.5, 2.5, 2.5]
+    assert float(box.extent.abs().max()) < 1e-6
+    assert torch.isfinite(box.axes).all()
 
 
 @settings(max_examples=examples(60))
@@ -169,13 +169,6 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
     along = ((points - box.centre) @ box.axes.T).abs()
     assert (along <= box.extent / 2 + 1e-9 * scale).all()  # fewer than 50 points: none may be cut off
-
-
-def test_parts_are_numbered_by_place() -> None:
-    points = torch.cat([block(50, [1.0] * 3), block(50, [1.0] * 3, seed=1) + 30]).numpy()
-    parts = connected_parts(points)
-    assert parts.tolist() == [0] * 50 + [1] * 50
-    assert connected_parts(points[:1]).tolist() == [0]
 
 
 @settings(max_examples=examples(60))
@@ -216,6 +209,9 @@ def test_quantiles_of_many_things_are_those_of_sorted_values(
 def test_many_points_are_linked_cell_by_cell() -> None:
     few = block(MOST_LINKED, [1.0] * 3).numpy()
     assert (rough_parts(few) == connected_parts(few)).all()
+    two = torch.cat([block(50, [1.0] * 3), block(50, [1.0] * 3, seed=1) + 30]).numpy()
+    assert connected_parts(two).tolist() == [0] * 50 + [1] * 50
+    assert connected_parts(two[:1]).tolist() == [0]
     near, far = block(3 * MOST_LINKED, [2.0, 1.0, 0.01]), block(2 * MOST_LINKED, [1.0] * 3, seed=1) + 5
     parts = rough_parts(torch.cat([near, far, torch.full((1, 3), 3.0)]).numpy())
     own = np.split(parts, [len(near), len(near) + len(far)])

@@ -1,4 +1,4 @@
-"""Things as objects: those of a table, those of a selection, and their places against a naive loop."""
+"""Things as objects: those of a table, those of a selection, their places against a naive loop, and their names."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from hypothesis import strategies as st
 
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
-from query.planted_room import ABSENT, ROOM, Box, planted_room
-from scoup.field import NO_THING, ThingTable
-from scoup.field.thing_table import TENSORS
+from query.planted_room import ABSENT, ROOM, Box, planted_room, with_whole
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
-from scoup.query.boxes import PointSets
-from scoup.query.catalog_writing import draw_things, viewing_cameras
+from scoup.query.boxes import OrientedBox, PointSets
+from scoup.query.catalog_files import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
-from scoup.scene import Camera, Gaussians
+from scoup.query.thing_names import best_of_trees, find_objects, thing_names
+from scoup.query.things import Thing
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from support import altered, examples
 
 
@@ -36,45 +38,20 @@ def test_every_thing_is_where_its_box_is(room) -> None:
         thing = found[number]
         assert (thing.text, thing.score, thing.parent, thing.n_regions) == ("", None, None, 9)
         assert thing.gaussians.tolist() == (room.thing_table.owners[:, 0] == number).nonzero()[:, 0].tolist()
-        spacing = torch.tensor(box.size).double() / 6
-        middle = torch.tensor(box.middle).double()
+        spacing, middle = torch.tensor(box.size).double() / 6, torch.tensor(box.middle).double()
         assert bool(((thing.position - middle).abs() <= 0.51 * spacing).all())
-        torch.testing.assert_close(
-            thing.box.extent.sort().values, (5 * spacing).sort().values, rtol=0.25, atol=1e-3
-        )
+        extent, expected = thing.box.extent.sort().values, (5 * spacing).sort().values
+        torch.testing.assert_close(extent, expected, rtol=0.25, atol=1e-3)
         assert thing.to_dict()["gaussians"] == thing.n_gaussians == 216
         assert thing.to_dict(2.0)["extent_metres"] == pytest.approx((2 * thing.box.extent).tolist(), rel=1e-4)
         assert repr(thing).startswith(f"Thing(thing {number} at [")
-
-
-@pytest.mark.parametrize(("text", "count"), [("mug", 2), ("laptop", 1)])
-def test_all_instances_are_found(room, text, count) -> None:
-    found = room.things(text)
-    assert len(found) == count
-    for thing in found:
-        assert ROOM[thing.number].name in thing.text
-        assert thing.score > 0.9
-
-
-def test_what_is_absent_has_no_things(room) -> None:
-    assert room.things(ABSENT) == []
-    assert not room.select(f"largest {ABSENT}").mask.any()
-
-
-def test_a_few_gaussians_of_a_thing_are_too_small(room) -> None:
-    answer = room[:3].answer("table")
-    assert not answer.presence
-    assert answer.remark() == "not in this scene: what fits has fewer than 10 Gaussians (score 1.00)"
 
 
 def test_what_fits_better_comes_first() -> None:
     field = planted_room([Box("mug", (0, 0, 0), (1, 1, 1)), Box("mug", (3, 0, 0), (1, 1, 1))])
     assert field.thing_table is not None
     field.thing_table.n_regions[0] = 4  # seen less often
-    found = field.things("mug")
-    assert [thing.number for thing in found] == [1, 0]
-    scores = [thing.score or 0 for thing in found]
-    assert scores == sorted(scores, reverse=True)
+    assert [thing.number for thing in field.things("mug")] == [1, 0]
 
 
 def test_things_of_two_levels_have_parents_that_contain_them() -> None:
@@ -146,11 +123,6 @@ def test_a_thing_around_a_camera_has_no_picture_and_ends_nothing(room) -> None:
     assert mug.number not in drawn
 
 
-def test_things_are_copies(room) -> None:
-    room.things("mug")[0].gaussians[:] = -1
-    assert int(room.things("mug")[0].gaussians.min()) >= 0
-
-
 # Places against a naive loop. Opacities are multiples of 1/16 and coordinates are whole, so that sums are exact.
 
 
@@ -173,10 +145,9 @@ def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float
     weights = [weight for _, weight in there]
     middle = [naive_quantile([mean[axis] for mean, _ in there], weights, 0.5) for axis in range(3)]
     distances = [float(np.linalg.norm(np.subtract(mean, middle))) for mean, _ in there]
-    usual = naive_quantile(distances, weights, 0.5)
-    return [
-        one for one, distance in zip(there, distances, strict=True) if distance <= constants.FARTHEST * usual
-    ]
+
+    farthest = constants.FARTHEST * naive_quantile(distances, weights, 0.5)
+    return [one for one, distance in zip(there, distances, strict=True) if distance <= farthest]
 
 
 coordinates = st.one_of(st.integers(-6, 6).map(float), st.sampled_from([50.0, float("nan"), float("inf")]))
@@ -202,3 +173,57 @@ def test_points_of_things_are_those_of_a_naive_loop(cloud, owners) -> None:
         assert points.of_one(thing).tolist() == [mean for mean, _ in expected]
         assert points.weights[points.owners == thing].tolist() == [weight for _, weight in expected]
         assert (boxes[thing] is None) == (not expected)
+
+
+LAMP = 4  # of ROOM
+
+
+def test_a_word_names_only_what_it_finds() -> None:
+    field = planted_room()
+    names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
+    wanted = {number: box.name for number, box in enumerate(ROOM) if box.name in ("mug", "laptop")}
+    assert {number: name.texts[0] for number, name in names.items()} == wanted
+    assert thing_names(field, field.question([ABSENT])) == {}
+
+
+def thing(number: int, parent: int | None, score: float | None, size: int, regions: int = 9) -> Thing:
+    box = OrientedBox(torch.zeros(3).double(), torch.eye(3).double(), torch.ones(3).double())
+    name = "" if score is None else "mug"
+    return Thing(number, "m", parent, name, score, torch.zeros(3).double(), box, torch.arange(size), regions)
+
+
+@pytest.mark.parametrize(("tree", "objects"), [
+    ([(0, None, 0.9, 100), (1, 0, 0.8, 60), (2, 0, 0.8, 40)], [0]),  # an object better named than its parts
+    ([(0, None, 0.7, 100), (1, 0, 0.9, 50), (2, 0, 0.9, 50)], [1, 2]),  # a group of better named objects
+    ([(0, None, 0.7, 100), (1, 0, 0.9, 30)], [0]),  # what has a name is a small part
+    ([(0, None, None, 100), (1, 0, 0.9, 90)], [1]),
+    ([(0, None, None, 100), (1, 0, constants.UNNAMED + 0.1, 50)], [0]),
+    ([(0, None, None, 100), (1, 0, None, 100)], [0]),
+    ([(0, 7, 0.5, 100)], [0]),  # its parent is not listed
+])  # fmt: skip
+def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], objects: list[int]) -> None:
+    assert [each.number for each in best_of_trees([thing(*each) for each in tree])] == objects
+
+
+@pytest.mark.parametrize(("regions", "stability", "again", "name", "is_object"), [
+    (9, constants.STABLE, False, "", True), (9, constants.STABLE - 0.1, False, "", False),
+    (9, constants.STABLE - 0.1, True, "", True),  # another level has it, too
+    (constants.LEAST_REGIONS - 1, constants.STABLE, True, "", False), (1, 0.0, False, "lamp", True),
+])  # fmt: skip
+def test_fragments_without_a_name_are_no_objects(
+    regions: int, stability: float, again: bool, name: str, is_object: bool
+) -> None:
+    room = planted_room()
+    assert room.thing_table is not None
+    room.thing_table.n_regions[:], room.thing_table.stability[:] = regions, stability
+    field, whole = with_whole(room, [LAMP]) if again else (room, LAMP)
+    things = [replace(each, text=name) for each in field.things()]
+    assert (whole in {each.number for each in find_objects(field, things)}) == is_object
+
+
+def test_a_part_is_folded_into_a_whole_beyond_the_next_level() -> None:
+    field, whole = with_whole(planted_room(), [1, 2])
+    assert field.thing_table is not None
+    field.thing_table.parents[:] = NO_THING
+    objects = {thing.number for thing in find_objects(field, field.things())}
+    assert objects & {1, 2, whole} == {whole}

@@ -1,4 +1,5 @@
-"""The threshold at which the answer changes least, against a slow reading of its rule."""
+"""The threshold at which the answer changes least, against a slow reading of its rule; the compiled core against
+torch."""
 
 from __future__ import annotations
 
@@ -10,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query import constants
-from scoup.query.votes import level_thresholds
-from support import examples
+from raster.parity import needs_native
+from scoup.query import constants, votes
+from scoup.query.votes import above_thresholds, level_thresholds, stretched_counts
+from support import examples, threads_of_torch
 
 STEPS = range(44, 85)
 """Hundredths of the thresholds considered."""
@@ -28,10 +30,8 @@ def stable_thresholds(values: Tensor) -> Tensor:
 
 def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
     """How many values are above the window's lower end, and above its upper end; at least 1."""
-    below, above = (step - 5) / 100, (step + 5) / 100
-    return max(1, sum(value >= below for value in rescaled)), max(
-        1, sum(value >= above for value in rescaled)
-    )
+    larger, smaller = (sum(value >= end / 100 for value in rescaled) for end in (step - 5, step + 5))
+    return max(1, larger), max(1, smaller)
 
 
 def slow_costs(values: list[float]) -> dict[int, float]:
@@ -88,20 +88,12 @@ def test_the_first_and_the_last_window_count(start: int, expected: float) -> Non
     assert float(stable_thresholds(row[None])) == pytest.approx(expected)
 
 
-def test_the_centre_wins_where_all_are_alike() -> None:
+def test_rows_without_meaning_and_where_all_are_alike_have_the_centre() -> None:
     step = torch.tensor([0.0] * 9 + [1.0])
-    for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
-        assert stable_thresholds(row[None]).tolist() == pytest.approx([constants.CENTRE])
-
-
-def no_values() -> list[Tensor]:
-    numbers = [torch.nan, torch.inf, -torch.inf]
-    return [torch.zeros(3, 0), *(torch.tensor([[0.1, 0.2, number, 0.9]]) for number in numbers)]
-
-
-@pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
-def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
-    assert stable_thresholds(values).tolist() == pytest.approx([constants.CENTRE] * len(values))
+    alike = [torch.full((1, 7), 0.5), torch.tensor([[0.4]]), torch.zeros(1, 5), step[None]]
+    odd = [torch.tensor([[0.1, 0.2, number, 0.9]]) for number in (torch.nan, torch.inf, -torch.inf)]
+    for values in (*alike, *odd, torch.zeros(3, 0)):
+        assert stable_thresholds(values).tolist() == pytest.approx([constants.CENTRE] * len(values))
 
 
 def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
@@ -115,3 +107,48 @@ def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
     alone = [stable_thresholds(row[own][None]) for row, own in zip(values, included, strict=True)]
     assert level_thresholds(values, included)[0].equal(torch.cat(alone))
     assert len(stable_thresholds(values[:0])) == 0
+
+
+@st.composite
+def some_values(draw: st.DrawFn) -> tuple[Tensor, Tensor]:
+    """Values [S, M] of several shapes, many of them alike or odd, and which of them count."""
+    generator = torch.Generator().manual_seed(draw(st.integers(0, 2**31)))
+    rows, count = draw(st.integers(1, 3)), draw(st.sampled_from([0, 1, 15, 16, 17, 333, 40_000]))
+    values = torch.rand(rows, count, generator=generator) ** draw(st.sampled_from([0.3, 1, 3, 10]))
+    if draw(st.booleans()):
+        values = (20 * values).round() / 20
+    values = values * draw(st.sampled_from([1e-30, 1, 1e30])) + draw(st.sampled_from([0, -0.5]))
+    if count and draw(st.integers(0, 4)) == 0:
+        values[0, count // 2] = draw(st.sampled_from([torch.nan, torch.inf, -torch.inf, 3e38]))
+    return values, torch.rand(rows, count, generator=generator) < draw(st.sampled_from([0, 0.5, 1]))
+
+
+@needs_native
+@settings(max_examples=examples(100))
+@given(some_values(), st.floats(0, 1, width=32))
+def test_they_are_those_of_torch(some: tuple[Tensor, Tensor], threshold: float) -> None:
+    spans, counts = stretched_counts(*some)
+    expected = votes.plain_stretched_counts(*some)
+    torch.testing.assert_close(spans, expected[0], rtol=0, atol=0, equal_nan=True)
+    assert counts.equal(expected[1])
+    thresholds = torch.full((len(spans),), threshold)
+    masks, areas, sums = above_thresholds(*some, spans, thresholds)
+    expected = votes.plain_above_thresholds(*some, spans, thresholds)
+    assert masks.equal(expected[0])
+    assert areas.equal(expected[1])
+    torch.testing.assert_close(sums, expected[2], rtol=1e-12, atol=0)
+
+
+@needs_native
+@settings(max_examples=examples(10))
+@given(st.integers(0, 99))
+def test_rows_alike_have_equal_sums_for_any_number_of_threads(seed: int) -> None:
+    row = torch.rand(50_000, generator=torch.Generator().manual_seed(seed))
+    values, found = torch.stack([row, row, row]), []
+    coded = torch.ones_like(values, dtype=torch.bool)
+    for count in (1, 3):
+        with threads_of_torch(count):
+            spans, counts = stretched_counts(values, coded)
+            found.append((counts, *above_thresholds(values, coded, spans, torch.full((3,), 0.3))))
+    assert all(one.equal(other) for one, other in zip(*found, strict=True))
+    assert len(set(found[0][3].tolist())) == 1

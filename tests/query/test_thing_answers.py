@@ -6,6 +6,8 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import pytest
 import torch
@@ -13,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
+from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.field import NO_THING, ThingTable
 from scoup.query import constants, matching
-from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
-from scoup.query.thing_judge import ThingIndex, thing_index
-from support import altered, examples, things_of, unit
+from scoup.query.thing_index import ThingIndex, thing_index
+from scoup.scene.things import NO_THING, ThingTable
+from support import altered, examples, things_of
 
 # The choice.
 
@@ -160,74 +162,63 @@ def test_many_scenes_are_judged_as_each_alone(
     ]
 
 
-def chosen_of(fits: Sequence[Sequence[float]], sizes: Sequence[Sequence[int]], **options) -> list[int] | None:
-    """What is chosen of the things of each level, whose Gaussians of these numbers lie side by side."""
-    total = max(map(sum, sizes))
-    owners, levels, first = torch.full((total, len(fits)), NO_THING), [], 0
+NINE, HALVES, TENS = [9] * 4, [[9, 9, 9, 9], [18, 9, 9]], [10, 10, 10, 10]
+LITTLE = torch.tensor([9.0, 0.01, 9.0, 9.0])
+LEVELED, SUPPORTED = [[2.0, 0.0], [2.4, 0.5]], [2.0, 1.0, 0.0, 0.0]
+THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
+
+
+@pytest.mark.parametrize(("fits", "sizes", "options", "chosen"), [
+    # A set with a gap behind it answers.
+    ([[0.0, 3.0, 0.5, 0.1]], [NINE], {}, [1]),
+    ([[3.0, 0.0, 3.1, 0.2]], [NINE], {}, [2, 0]),
+    ([[4.0]], [[9]], {}, [0]),
+    # At most eight: of nine there is no gap behind any set, and the first comes first.
+    ([[3.0] * 8 + [0.0]], [[9] * 9], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
+    ([[3.0] * 9 + [0.0]], [[9] * 10], {}, [0]),
+    # A gap is as good as a larger one, if both are large.
+    ([[9.0, 5.9, 0.0]], [[9] * 3], {}, [0]),
+    ([[9.0, 5.9, -9.0]], [[9] * 3], {}, [0]),
+    ([[]], [[]], {}, None),
+    # The mean of a set is lower the more it takes: the second gap is larger, but too far below the best.
+    ([[5.0, 4.0, 2.6, 2.6]], [NINE], {}, [0]),
+    ([[5.0, 4.5, 2.6, 2.6]], [NINE], {}, [0, 1]),
+    # By what is seen of things, the second of which is next to nothing.
+    ([[5.0, 4.0, 2.6, 2.6]], [NINE], {"mass": LITTLE}, [0, 1]),
+    # Rivals elsewhere count against a set, but not its parts and wholes.
+    ([[0.9, 0.0, 2.6, 1.6], [2.0, 0.0, 0.0]], HALVES, {}, [2]),  # a smaller gap, but it fits better
+    ([[2.6, 1.6, 0.9, 0.0], [2.0, 0.0, 0.0]], HALVES, {}, [4]),  # what fits better is a part of it
+    ([[2.0, 0.0, 0.0, 0.0, 0.0], [2.4, 1.4]], [[*NINE, 36], [36, 36]], {}, [0]),  # a part of what fits better
+    # Behind all things of a level stands one like any other.
+    ([[1.5, 0.0, 0.0, 0.0], [2.0]], [NINE, [36]], {}, [4]),
+    ([[1.5, 0.0, 0.0, 0.0], [0.9]], [NINE, [36]], {}, [0]),
+    # The first thing fits best; two other levels have the second one, if the same Gaussians are theirs.
+    (THREE, [TENS, [10, 10, 20], [10, 10, 20]], {}, [5]),
+    (THREE, [TENS, [10, 10, 20], [15, 5, 20]], {}, [0]),  # half of them is not enough
+    (THREE, [TENS, [10, 10, 20], [14, 6, 20]], {}, [5]),
+    # Levels that may not answer support those that may.
+    ([SUPPORTED, [1.5, 0.0]], [TENS, [20, 20]], {"level": 0}, [0, 1]),
+    ([SUPPORTED, [0.0, 1.5]], [TENS, [20, 20]], {"level": 0}, [0]),
+    (LEVELED, [[9, 9], [9, 9]], {"level": 0}, [0]),
+    (LEVELED, [[9, 9], [9, 9]], {"level": 1}, [2]),
+    ([[2.0, 0.0], []], [[9, 9], []], {"level": 1}, None),
+])  # fmt: skip
+def test_the_choice_by_hand(
+    fits: list[list[float]], sizes: list[list[int]], options: dict[str, Any], chosen: list[int] | None
+) -> None:
+    """Things of each level, whose Gaussians of these numbers lie side by side."""
+    owners, levels, first = torch.full((max(map(sum, sizes)), len(fits)), NO_THING), [], 0
     for level, counts in enumerate(sizes):
         own = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts, dtype=torch.int64)) + first
         owners[: len(own), level] = own
         levels += [level] * len(counts)
         first += len(counts)
-    things = planted_table(owners, torch.tensor(levels), options.pop("mass", None))
-    every = torch.tensor([fit for level in fits for fit in level])[:, None]
-    ((found,),) = choose_things(compared(things), every, **options)
-    check_choice(things, every, options.get("level"))
-    return None if found is None else [*found.things]
-
-
-def test_a_set_with_a_gap_behind_it_answers() -> None:
-    assert chosen_of([[0.0, 3.0, 0.5, 0.1]], [[9] * 4]) == [1]
-    assert chosen_of([[3.0, 0.0, 3.1, 0.2]], [[9] * 4]) == [2, 0]
-    assert chosen_of([[4.0]], [[9]]) == [0]
-    # At most eight: of nine there is no gap behind any set, and the first comes first.
-    assert chosen_of([[3.0] * 8 + [0.0]], [[9] * 9]) == list(range(8))
-    assert chosen_of([[3.0] * 9 + [0.0]], [[9] * 10]) == [0]
-    # A gap is as good as a larger one, if both are large.
-    assert chosen_of([[9.0, 5.9, 0.0]], [[9] * 3]) == [0]
-    assert chosen_of([[9.0, 5.9, -9.0]], [[9] * 3]) == [0]
-    assert chosen_of([[]], [[]]) is None
-
-
-def test_the_best_thing_counts_for_a_set() -> None:
-    """Its mean is lower the more it takes: the second gap is larger than the first, but too far below the best."""
-    assert chosen_of([[5.0, 4.0, 2.6, 2.6]], [[9] * 4]) == [0]
-    assert chosen_of([[5.0, 4.5, 2.6, 2.6]], [[9] * 4]) == [0, 1]
-    # By what is seen of things, the second of which is next to nothing.
-    little = torch.tensor([9.0, 0.01, 9.0, 9.0])
-    assert chosen_of([[5.0, 4.0, 2.6, 2.6]], [[9] * 4], mass=little) == [0, 1]
-
-
-def test_rivals_elsewhere_count_against_a_set_but_not_its_parts_and_wholes() -> None:
-    sizes, coarse = [[9, 9, 9, 9], [18, 9, 9]], [2.0, 0.0, 0.0]
-    assert chosen_of([[0.9, 0.0, 2.6, 1.6], coarse], sizes) == [2]  # a smaller gap, but it fits better
-    assert chosen_of([[2.6, 1.6, 0.9, 0.0], coarse], sizes) == [4]  # what fits better is a part of it
-    whole = [[9, 9, 9, 9, 36], [36, 36]]
-    assert chosen_of([[2.0, 0.0, 0.0, 0.0, 0.0], [2.4, 1.4]], whole) == [0]  # a part of what fits better
-
-
-def test_behind_all_things_of_a_level_stands_one_like_any_other() -> None:
-    assert chosen_of([[1.5, 0.0, 0.0, 0.0], [2.0]], [[9, 9, 9, 9], [36]]) == [4]
-    assert chosen_of([[1.5, 0.0, 0.0, 0.0], [0.9]], [[9, 9, 9, 9], [36]]) == [0]
-
-
-def test_what_several_levels_found_answers() -> None:
-    """The first thing fits best; two other levels have the second one, if the same Gaussians are theirs."""
-    fits, sizes = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]], [10, 10, 10, 10]
-    assert chosen_of(fits, [sizes, [10, 10, 20], [10, 10, 20]]) == [5]
-    assert chosen_of(fits, [sizes, [10, 10, 20], [15, 5, 20]]) == [0]  # half of them is not enough
-    assert chosen_of(fits, [sizes, [10, 10, 20], [14, 6, 20]]) == [5]
-    # Levels that may not answer support those that may.
-    fits = [[2.0, 1.0, 0.0, 0.0], [1.5, 0.0]]
-    assert chosen_of(fits, [sizes, [20, 20]], level=0) == [0, 1]
-    assert chosen_of([fits[0], [0.0, 1.5]], [sizes, [20, 20]], level=0) == [0]
-
-
-def test_a_level_of_ones_own_answers() -> None:
-    fits, sizes = [[2.0, 0.0], [2.4, 0.5]], [[9, 9], [9, 9]]
-    assert chosen_of(fits, sizes, level=0) == [0]
-    assert chosen_of(fits, sizes, level=1) == [2]
-    assert chosen_of([fits[0], []], [sizes[0], []], level=1) is None
+    level = options.get("level")
+    things = planted_table(owners, torch.tensor(levels), options.get("mass"))
+    every = torch.tensor([fit for row in fits for fit in row])[:, None]
+    ((found,),) = choose_things(compared(things), every, level)
+    check_choice(things, every, level)
+    assert (None if found is None else [*found.things]) == chosen
 
 
 # How well things fit.
@@ -281,19 +272,17 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
 
 
 def test_things_share_gaussians(asked: Asked) -> None:
-    known, owners = thing_index(asked.field, asked.wall.texts), asked.things.owners.tolist()
+    known = thing_index(asked.field, asked.wall.texts)
     assert known is not None
     expected = torch.zeros(len(asked.things), len(asked.things))
-    for own in owners:
+    for own in asked.things.owners.tolist():
         there = [thing for thing in own if thing != NO_THING]
-        for one in there:
-            for other in there:
-                expected[one, other] += 1
+        for one, other in product(there, there):
+            expected[one, other] += 1
     every = torch.arange(len(expected))
     assert known.shared(every, every >= 0, len(every)).equal(expected)
-    assert known.shares.pairs() == [
-        (one, other, float(expected[one, other])) for one, other in expected.nonzero().tolist()
-    ]
+    pairs = [(one, other, float(expected[one, other])) for one, other in expected.nonzero().tolist()]
+    assert known.shares.pairs() == pairs
     assert known.counts.equal(expected.diag())
 
 
@@ -309,14 +298,12 @@ def test_as_many_things_as_files_contain_fit_as_many_words_as_tables_contain() -
 
 def test_a_field_compares_its_things_with_words_once(asked: Asked) -> None:
     field, texts = asked.field, asked.wall.texts
-    first = thing_index(field, texts)
-    assert thing_index(field, texts.one(1)) is first
-    few = thing_index(field, replace(texts, everyday=texts.everyday[:3]))
+    first, few = thing_index(field, texts), thing_index(field, replace(texts, everyday=texts.everyday[:3]))
+    assert first is not None
+    assert thing_index(field, texts.one(1)) is first is not few
     copied = thing_index(copy.deepcopy(field), texts)
-    assert few is not first
     assert copied is not None
     assert copied is not first
-    assert first is not None
     assert torch.equal(copied.best_fits, first.best_fits)
     assert thing_index(asked.bare, texts) is None
 
@@ -353,40 +340,16 @@ def test_things_answer_in_the_scene(asked: Asked, level: int | None) -> None:
         assert (answer.runner_up.score or 0) <= (answer.score or 0)
 
 
-def same_scene(one: Answer, other: Answer) -> None:
-    assert one.mask.equal(other.mask)
-    assert one.to_dict() == other.to_dict()
-
-
 def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
     for present_from in (None, 0.9):
         question = replace(asked.wall.texts, present_from=present_from, threshold=0.4)
         votes = list(each_answer(asked.bare, question))
         for one, other in zip(list(each_answer(asked.field, question)), votes, strict=True):
-            same_scene(one, other)
+            assert one.mask.equal(other.mask)
+            assert one.to_dict() == other.to_dict()
             assert (one.threshold, one.things) == (0.4, ())
             shown = [field.at(1).show([each])[0] for field, each in ((asked.field, one), (asked.bare, other))]
             assert shown[0].mask.equal(shown[1].mask)
-
-
-def test_texts_are_answered_alike_alone_and_together(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where there are more than one pass takes."""
-    wall = asked.wall
-    mixed = [unit(wall.vectors + share * wall.vectors.roll(1, 0)) for share in (0.3, 0.5, 0.7)]
-    queries = torch.cat([wall.vectors, *mixed, random_vectors(5, DIM, seed=3)])
-    names = tuple(f"word {number}" for number in range(len(queries)))
-    texts = replace(wall.texts, texts=names, queries=queries, present_from=0.4)
-    monkeypatch.setattr(matching, "FITS_AT_A_TIME", 5 * len(asked.things))
-    assert len(queries) > 6
-    for field in (asked.field, asked.bare):
-        in_scene = list(each_answer(field, texts))
-        for number, (place, seen) in enumerate(zip(in_scene, field.at(3).answer(texts), strict=True)):
-            (alone,) = list(each_answer(field, texts.one(number)))
-            same_scene(place, alone)
-            (shown,) = field.at(3).show([alone])
-            assert seen.mask.equal(shown.mask)
-            assert seen.box == shown.box
-            torch.testing.assert_close(seen.heat, shown.heat, atol=1e-5, rtol=0)
 
 
 def test_a_thing_out_of_sight_is_there_but_not_visible(asked: Asked) -> None:

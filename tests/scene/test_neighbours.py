@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +11,7 @@ from raster.parity import needs_native
 from scoup.base import require_core
 from scoup.scene import neighbours
 from scoup.scene.neighbours import linked_parts, nearest_points
-from support import examples
+from support import examples, threads_of_torch
 
 
 @st.composite
@@ -76,13 +75,10 @@ def test_parts_are_those_of_scipy(points: np.ndarray, wanted: int, factor: float
 
 @needs_native
 def test_the_same_for_any_number_of_threads() -> None:
-    points, threads, found = np.random.default_rng(0).normal(size=(30_000, 3)), torch.get_num_threads(), []
-    try:
-        for count in (1, 3):
-            torch.set_num_threads(count)
+    points, found = np.random.default_rng(0).normal(size=(30_000, 3)), []
+    for count in (1, 3):
+        with threads_of_torch(count):
             found.append(nearest_points(points, 5))
-    finally:
-        torch.set_num_threads(threads)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 import torch
 
-from scoup.base import InputError
-from scoup.query.paths import MOST_STOPS, camera_path, turntable
+from messages import refuses
 from scoup.scene.cameras import Camera, Cameras
 
 UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
@@ -51,7 +49,7 @@ def test_paths_of_many_or_one_camera() -> None:
     same = Cameras(Camera(f"{n}.png", ring(1)[0].viewmat, ring(1)[0].K, 40, 30) for n in range(3))
     assert torch.isfinite(torch.stack([camera.viewmat for camera in camera_path(same, 9)])).all()
     for cameras, count in ((Cameras([]), 5), (ring(3), 0)):
-        with pytest.raises(InputError, match="path"):
+        with refuses():
             camera_path(cameras, count)
 
 
@@ -69,8 +67,8 @@ def test_a_turntable_keeps_distance_and_height() -> None:
     assert torch.allclose(arms[4] + arms[0], 2 * (arms[0] @ torch.from_numpy(UP)) * torch.from_numpy(UP))
 
 
-@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.0, 0.0, 3.0)])
-def test_what_a_camera_cannot_turn_around_is_refused(centre: tuple[float, float, float]) -> None:
+def test_what_a_camera_cannot_turn_around_is_refused() -> None:
     camera = Camera.look_at((0, 0, 0), (1, 0, 0), "a.png", 4, 3, 5.0)
-    with pytest.raises(InputError, match="cannot turn around"):
-        turntable(camera, centre, (0, 0, 1), 5)
+    for centre in ((0, 0, 0), (0, 0, 3)):
+        with refuses():
+            turntable(camera, centre, (0, 0, 1), 5)
