@@ -13,7 +13,7 @@ from PIL import Image
 
 from mask_samples import smooth_image
 from messages import refuses
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.extract import find_photographs
 from scoup.extract.concepts import boxes_as_stored, extract_concepts
 from scoup.extract.photographs import Pixels

@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from messages import refuses, warns
-from scoup.base.errors import ScoupWarning
+from scoup.base import ScoupWarning
 from scoup.extract.own_views import choose_cameras, save_views
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_choice import Scores, not_from_behind

@@ -17,8 +17,7 @@ from scoup.extract.photograph_choice import (
     sharpness,
     total_wanted,
 )
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
+from scoup.scene import Camera, Gaussians
 from support import unit
 
 SHARP = torch.ones(14)

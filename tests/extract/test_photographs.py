@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 from mask_samples import smooth_image
 from messages import refuses, warns
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
 from scoup.scene import Cameras

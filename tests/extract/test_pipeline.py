@@ -15,8 +15,7 @@ import scoup
 from cli_support import snapshot
 from mask_samples import smooth_image
 from messages import refuses, warns
-from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.parts import Part
+from scoup.base import Part, ScoupError, ScoupWarning
 from scoup.extract import (
     Masks,
     MaskSettings,

@@ -15,7 +15,7 @@ from torch import Tensor
 from field.conftest import field_with_things
 from field_files import parts_of, write_whole
 from messages import check_message
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.field.content import LEAST_GAUSSIANS, TENSORS
 from scoup.field.facts import read_facts
 from scoup.query import LanguageField

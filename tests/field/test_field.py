@@ -8,12 +8,12 @@ from safetensors.torch import save_file
 
 import scoup
 from messages import refuses
-from scoup.base.errors import FileFormatError, GeometryMismatchError, OutputExistsError
-from scoup.query.language_field import LanguageField, build
-from scoup.scene.codes import index_dtype
-from scoup.scene.field_info import FieldInfo
-from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.provenance import FieldSources
+from scoup.base import FileFormatError, OutputExistsError
+from scoup.field.field import GeometryMismatchError
+from scoup.field.field_info import FieldInfo
+from scoup.query import LanguageField, build
+from scoup.scene import index_dtype
+from scoup.uplift import BuildSettings, FieldSources
 from support import altered, random_gaussians, small_scene, unit
 from uplift.edits import joined
 

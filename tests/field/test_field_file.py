@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from field.conftest import field_with_things
 from field_files import parts_of, write_parts
 from messages import refuses
-from scoup.base.errors import FieldVersionError, FileFormatError
+from scoup.base import FileFormatError
+from scoup.base.errors import FieldVersionError
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
 from scoup.query import LanguageField

@@ -12,7 +12,7 @@ from PIL import Image
 
 from mask_samples import smooth_image
 from messages import refuses
-from scoup.base.errors import ScoupError, UnknownNameError
+from scoup.base import ScoupError, UnknownNameError
 from scoup.models.concepts import LEAST_SCORE, MOST_BOXES, SAME_BOX, best_boxes, open_concepts
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
 from scoup.uplift.naming import box_ious

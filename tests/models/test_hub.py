@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from messages import refuses
-from scoup.base.errors import FileFormatError, ScoupError
+from scoup.base import FileFormatError, ScoupError
 from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 

@@ -14,7 +14,7 @@ import transformers
 from safetensors.torch import load_file, save_file
 
 from messages import refuses
-from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base import ScoupError, ScoupWarning
 from scoup.models.text import TextEncoder
 from tiny_models import WORDS, save_text_clip, saved, tiny_siglip, tiny_tips, tiny_tokenizer
 

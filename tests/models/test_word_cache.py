@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.base.npz import write_npz
+from scoup.base import write_npz
 from scoup.models import text, word_cache
 from scoup.models.hub import ModelIdentity, file_states
 from scoup.models.text import TextEncoder

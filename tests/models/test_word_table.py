@@ -14,12 +14,7 @@ from torch import Tensor
 
 from children import finished
 from messages import refuses
-from scoup.base.errors import (
-    FileFormatError,
-    MissingFileError,
-    OutputExistsError,
-    UnknownNameError,
-)
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table, save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday

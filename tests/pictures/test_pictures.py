@@ -26,6 +26,7 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.animation import save_animation
+from scoup.pictures.colors import heat_colors
 from scoup.pictures.legends import scale_ends
 from scoup.pictures.lettering import INK, PAPER, lines_of, text_width
 from scoup.pictures.overlays import eroded

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from messages import refuses
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.pictures.video import check_video_writer, save_video
 
 ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")

@@ -13,13 +13,12 @@ from torch import Tensor
 from query.conftest import WORDS, random_vectors
 from query.planted_room import BACK, FRONT, planted_room
 from query.test_named import LAMP, MUG, named_room
-from scoup.field.cache import ENTRY_BYTES, Cache
-from scoup.field.relevancy import PixelCosines, pixel_relevancy
-from scoup.models.text import TextEncoder
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.field import Cache, PixelCosines, pixel_relevancy
+from scoup.field.cache import ENTRY_BYTES
+from scoup.models import CANONICAL_PHRASES, TextEncoder
 from scoup.query.answer import answer_relevancy
 from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
+from scoup.scene import Cameras
 from support import altered
 
 

@@ -10,8 +10,8 @@ import torch
 
 from messages import refuses, warns
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
-from scoup.base.errors import ScoupWarning
-from scoup.query.compare import compare
+from scoup.base import ScoupWarning
+from scoup.query.comparison import compare
 from scoup.query.language_field import LanguageField
 from scoup.scene import Camera, Cameras
 

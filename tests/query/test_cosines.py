@@ -15,8 +15,8 @@ from torch import Tensor
 
 from raster.parity import BACKENDS
 from scoup import raster
-from scoup.base.errors import InputError
-from scoup.field.relevancy import relevancy
+from scoup.base import InputError
+from scoup.field import FieldInfo, relevancy
 from scoup.query.language_field import LanguageField
 from scoup.scene import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit

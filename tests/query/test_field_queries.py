@@ -16,9 +16,8 @@ from torch import Tensor
 from messages import refuses
 from query.conftest import Queried
 from scoup import raster
-from scoup.base.errors import InputError, MissingFileError, UnknownNameError
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from scoup.base import InputError, MissingFileError, UnknownNameError
+from scoup.models import CANONICAL_PHRASES, save_table
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from messages import refuses
 from query.planted_room import FRONT, Box, planted_room
-from scoup.scene.cameras import Camera
-from scoup.scene.up import estimate_up
+from scoup.scene import Camera, estimate_up
 from support import examples
 
 # Right, down and forward of a camera that looks at the floor.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from messages import refuses
 from query.conftest import ASKED, Queried
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.labels import NONE, labels_of_answers

@@ -14,8 +14,8 @@ import torch
 from cli_support import run
 from messages import refuses
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
-from scoup.models.text import TextEncoder, everyday_vocabulary
-from scoup.models.word_table import save_table
+from scoup.field import NameTable
+from scoup.models import TextEncoder, everyday_vocabulary, save_table
 from scoup.query import constants
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice
@@ -188,7 +188,7 @@ def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.M
     field.save(path, weight_bits=8)
     names = field.encoder.names or ()
     save_table(words, names, field.encoder.encode(names))
-    monkeypatch.setattr("scoup.query.refine.open_concepts", lambda name, device: Finder(field, BALL))
+    monkeypatch.setattr("scoup.models.concepts.open_concepts", lambda name, device: Finder(field, BALL))
     query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
     # The second time, the file has not changed.
     for number, (options, thing) in enumerate(((("--refine", "owlv2"), BALL), ((), LAMP))):

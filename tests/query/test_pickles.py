@@ -14,8 +14,7 @@ import torch
 
 from messages import refuses
 from query.conftest import WORDS, random_vectors
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import save_table
+from scoup.models import TextEncoder, save_table
 from scoup.query.answer import Answer, answer_relevancy
 from scoup.query.language_field import LanguageField
 

@@ -18,9 +18,8 @@ from query.conftest import ASKED
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.place import Place, place_of
-from scoup.query.things import MOST_LINKED, Thing, rough_parts
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import connected_parts
+from scoup.query.things import MOST_LINKED, Thing, connected_parts, rough_parts
+from scoup.scene import Gaussians
 from support import examples, gaussians_at
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

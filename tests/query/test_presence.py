@@ -14,7 +14,7 @@ from torch import Tensor
 from messages import refuses
 from query.conftest import Queried, random_vectors
 from query.planted_room import Box, planted_room
-from scoup.models.words import LEAST_WORDS
+from scoup.models import LEAST_WORDS
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from messages import refuses
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.query.ask import apart
 from scoup.query.language_field import LanguageField
 from scoup.query.phrases import parse_phrase

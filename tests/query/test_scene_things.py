@@ -13,17 +13,16 @@ from hypothesis import strategies as st
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room, with_whole
+from scoup.field import NO_THING, ThingTable
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.catalog_files import draw_things, viewing_cameras
+from scoup.query.catalog_writing import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
 from scoup.query.thing_names import best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
-from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING, TENSORS, ThingTable
+from scoup.scene import TENSORS, Camera, Gaussians
 from support import altered, examples
 
 

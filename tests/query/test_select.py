@@ -15,9 +15,9 @@ from torch import Tensor
 from messages import refuses
 from scoup.query.question import Question
 from scoup.query.select import Reshaping, reshaped
+from scoup.query.things import LONGEST_LINK, NEIGHBOURS
 from scoup.query.votes import MOST_TEXTS, level_thresholds, select_by_relevancy, select_each
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS
+from scoup.scene import Gaussians
 from support import examples, gaussians_at, random_gaussians
 
 

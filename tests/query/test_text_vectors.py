@@ -11,10 +11,8 @@ import torch
 
 from messages import refuses, warns
 from query.conftest import Queried, random_vectors
-from scoup.base.errors import ScoupWarning, UnknownNameError
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.base import ScoupWarning, UnknownNameError
+from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, save_table, with_everyday
 from scoup.query.language_field import LanguageField
 from scoup.query.question import TextVectors, check_encoder, encode_texts
 from support import altered

@@ -22,8 +22,7 @@ from scoup.query import constants, matching
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
-from scoup.query.thing_index import ThingIndex, thing_index
-from scoup.scene.things import NO_THING, ThingTable
+from scoup.query.thing_judge import ThingIndex, thing_index
 from support import altered, examples, things_of
 
 # The choice.

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.field.renders import render_depth
+from scoup.field import render_depth
 from scoup.query import constants
 from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel
-from scoup.scene.cameras import Camera
+from scoup.scene import Camera
 from support import examples
 
 

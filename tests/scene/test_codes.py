@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages import refuses
-from scoup.scene.codes import SparseCodes, cosines_from_codes, index_dtype
+from scoup.raster import cosines_from_codes
+from scoup.scene.codes import SparseCodes, index_dtype
 from support import unit
 
 

@@ -11,8 +11,7 @@ from messages import refuses
 from scoup.scene.directions import normalise_embeddings, query_vectors, unit_rows
 from scoup.scene.regions import RegionMap, Regions
 from scoup.scene.rotations import quats_of_rotations, rotation_matrices
-from scoup.uplift.build import build
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift import BuildSettings, build
 from support import examples, small_scene, unit
 
 

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages import refuses
-from scoup.base.errors import UnknownNameError, nearest_names
+from scoup.base import UnknownNameError
+from scoup.base.errors import nearest_names
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import RegionMap, Regions, resize_labels
 from support import make_camera, random_gaussians, small_scene

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from messages import refuses
-from scoup.scene.cameras import Camera, Cameras
+from scoup.query.paths import MOST_STOPS, camera_path, turntable
+from scoup.scene import Camera, Cameras
 
 UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
 

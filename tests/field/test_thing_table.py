@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from messages import refuses
-from scoup.scene.field_checks import MOST_THINGS
-from scoup.scene.things import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
+from scoup.field import MOST_THINGS, NO_THING, ThingTable
+from scoup.field.thing_table import LEAST_SPREAD, SURE_REGIONS
+from scoup.scene import TENSORS
 
 
 def parts(**changes: Any) -> dict[str, Any]:

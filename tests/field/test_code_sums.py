@@ -12,10 +12,10 @@ from torch import Tensor
 
 from messages import refuses
 from raster.parity import needs_native
-from scoup.field.relevancy import relevancy
-from scoup.scene import code_sums
-from scoup.scene.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
-from scoup.scene.codes import SparseCodes, cosines_from_codes
+from scoup.field import code_sums, inverse_code_norms, relevancy
+from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores
+from scoup.raster import cosines_from_codes
+from scoup.scene import SparseCodes
 from support import examples, threads_of_torch, unit
 
 
