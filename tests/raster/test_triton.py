@@ -141,7 +141,7 @@ def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyP
     from scoup.raster.triton.rendering import most_atoms_of_products
 
     assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "tf32x3"]
-    assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [256, 128, 64]
+    assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [128, 128, 64]
     monkeypatch.setattr(torch.version, "hip", "6.4")
     assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "ieee"]
     assert [most_atoms_of_products(name) for name in ("fp16x3", "ieee")] == [128, 64]

@@ -207,8 +207,10 @@ def _render_products(
 
 
 def most_atoms_of_products(precision: Precision) -> int:
-    """Atoms whose products also fit into the shared memory of every GPU served: 99 KB, or 64 KB of AMD."""
-    return min(MOST_ATOMS[precision], 128) if torch.version.hip else MOST_ATOMS[precision]
+    """Atoms whose products fit into the shared memory of every GPU served: 99 KB, or 64 KB of AMD. With 256, ptxas 12.8
+    (Triton 3.4 to 3.6) computes descriptors of matrix products from the stack pointer on Hopper: illegal memory access.
+    """
+    return min(MOST_ATOMS[precision], 128)
 
 
 def halves(table: Tensor) -> Tensor:
@@ -253,6 +255,8 @@ def code_blocks(levels: int, n_atoms: int, precision: Precision = "fp16x3") -> C
     32 Gaussians at a time there are nearly as many barriers as with 16, for twice the work; float32 leaves no room.
     """
     atoms = max(16, min(MOST_ATOMS[precision], triton.next_power_of_2(n_atoms)))
+    if precision == "tf32x3" and atoms == 64:
+        atoms = 128  # with 64, ptxas 12.8 takes descriptors from registers of something else: wrong numbers
     if precision != "fp16x3":
         return CodeBlocks(1, atoms, 16)
     most = max(1, min(4, _COEFFICIENTS // (TILE * TILE * atoms)))
