@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -155,12 +154,24 @@ class Gpu(Study):
         body = [
             [name, milliseconds(seconds), f"{seconds / base:.3g}" if base else "-"] for name, seconds in timed
         ]
-        notes = [
-            f"* {name}: {str(of.get('reason', of.get('value', json.dumps(of))))[:90]}"
-            for name, of in rows.items()
-            if "median_s" not in of
-        ]
+        notes = [f"* {name}: {_in_short(of)}" for name, of in rows.items() if "median_s" not in of]
         return "\n".join([markdown(["one view", "ms", "over gsplat's RGB"], body), "", *notes])
+
+
+def _in_short(row: Row) -> str:
+    """Return a row that is not a timing: a failure by its reason, tests by their number, else its numbers."""
+    if "reason" in row:
+        return row["reason"][:60]
+    if "failed" in row:
+        return f"{row['passed']} passed, {len(row['failed'])} failed"
+    if "value" in row:
+        return f"{row['value']:.2g}"
+    if "stages" in row:
+        return f"{row['seconds']:.1f} s, {row.get('peak_bytes', 0) / 1e9:.1f} GB"
+    if "mean" in row.get("RGB", {}):
+        shares = (value["beyond 1e-3"] for value in row.values() if "beyond 1e-3" in value)
+        return f"at most {max(shares):.2g} of the pixels differ by more than 0.001 of the largest value"
+    return ", ".join(f"{name} {value:.3g}" for name, value in row.items())
 
 
 def _reason(error: Exception) -> Row:

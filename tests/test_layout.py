@@ -127,11 +127,15 @@ def test_the_product_never_imports_the_laboratory() -> None:
 
 def past_doors(room: str, source: str) -> list[str]:
     """Imports of a file that reach into a room of the product that is not its own, past its door."""
-    return [
-        f"line {node.lineno}: {node.module}"
+    modules = [
+        (node.lineno, module)
         for node in nodes(source)
         if isinstance(node, ast.ImportFrom | ast.Import)
         for module in ([node.module or ""] if isinstance(node, ast.ImportFrom) else modules_of(node))
+    ]
+    return [
+        f"line {line}: {module}"
+        for line, module in modules
         if module.startswith("scoup.") and module.count(".") > 1 and module.split(".")[1] != room
     ]
 
