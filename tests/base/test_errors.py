@@ -13,7 +13,6 @@ ONE_OF_EACH = [
     errors.FileFormatError("a.ply", "is damaged", "make it again"),
     errors.FieldVersionError("a.scoup", 9, 3),
     errors.MissingFileError("a.ply", "is not there"),
-    errors.GeometryMismatchError("said"),
     errors.OutputExistsError("a.scoup"),
     errors.WriteError("a.scoup", "No space left on device", "free some space"),
     errors.OutputInUseError("a.scoup"),

@@ -21,8 +21,7 @@ WRITERS: dict[str, Callable[..., AbstractContextManager]] = {
 HOLD = """
 import sys
 from pathlib import Path
-from scoup.base.outputs import atomic_file, atomic_path
-from scoup.base.staging import staged
+from scoup.base.outputs import atomic_file, atomic_path, staged
 writer = {"file": atomic_file, "path": atomic_path, "staged": staged}[sys.argv[1]]
 with writer(Path(sys.argv[2])) as made:
     if sys.argv[1] == "file":

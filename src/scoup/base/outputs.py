@@ -337,7 +337,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         overwrite: replace existing files.
 
     Raises:
-        OutputExistsError, OutputInUseError, WriteError: as ``base.atomic.atomic_path``.
+        OutputExistsError, OutputInUseError, WriteError: as ``atomic_path``.
     """
     check_outputs(folder, files, overwrite)
     # In the nearest existing folder: on the same file system, moving is only renaming.
@@ -352,7 +352,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
 
 
 def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
-    """Check that all files may be written into a folder; see ``base.atomic.check_output``."""
+    """Check that all files may be written into a folder; see ``check_output``."""
     for file in files:
         check_output(folder / file, overwrite)
 

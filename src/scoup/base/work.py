@@ -62,7 +62,7 @@ class Part:
         """Return the part that "I/N" names, in which I counts from 1.
 
         Example:
-            >>> from scoup.base.parts import Part
+            >>> from scoup.base import Part
             >>> Part.parse("2/3").of("abcdefg")
             ['b', 'e']
         """

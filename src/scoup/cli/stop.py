@@ -30,7 +30,7 @@ def exit_code(stop: KeyboardInterrupt) -> int:
 def _stop(number: int, frame: FrameType | None) -> None:
     if _is_importing(frame):
         # Libraries turn an exception in their import into another one, or into the end of the process.
-        locks = sys.modules.get("scoup.base.locks")
+        locks = sys.modules.get("scoup.base.outputs")
         if locks is None or not locks.held:
             os._exit(128 + number)  # no output was begun: there is nothing to clean up
         threading.Timer(_AGAIN, signal.raise_signal, [number]).start()

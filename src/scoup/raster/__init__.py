@@ -39,7 +39,6 @@ __all__ = [
     "CombinedLabels",
     "PreparedGaussians",
     "Projection",
-    "RasterPreset",
     "ViewSums",
     "combine",
     "cosines_from_codes",

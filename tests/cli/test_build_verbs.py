@@ -23,7 +23,7 @@ from scoup.io.splats.splat_format import SplatFormat
 from scoup.models import load_table, save_table
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
-from scoup.uplift import build_settings
+from scoup.uplift import BUILD_PRESETS
 from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -54,8 +54,8 @@ def test_the_usual_model_is_taken_for_embeddings_of_its_size():
 
 
 def test_settings_reach_the_field(monkeypatch: pytest.MonkeyPatch):
-    paper = replace(build_settings.BUILD_PRESETS["paper"], epochs=2)
-    monkeypatch.setitem(build_settings.BUILD_PRESETS, "paper", paper)  # all 4000 take a minute
+    paper = replace(BUILD_PRESETS["paper"], epochs=2)
+    monkeypatch.setitem(BUILD_PRESETS, "paper", paper)  # all 4000 take a minute
     settings = "--k 2 --raster-preset gsplat --preset paper"
     files = "--gaussians scene/point_cloud.ply --features scene/language_features --images scene/images --scale 0.5"
     run_json(*BUILD, *settings.split(), *files.split())
