@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from extract.test_pipeline import scene
 from mask_samples import smooth_image
 from messages import refuses
+from scoup.extract import choose_photographs, find_photographs
 from scoup.extract.photograph_choice import (
     points_as_gaussians,
     rank_views,
@@ -17,6 +20,7 @@ from scoup.extract.photograph_choice import (
     sharpness,
     total_wanted,
 )
+from scoup.io import write_colmap
 from scoup.scene import Camera, Gaussians
 from support import unit
 
@@ -87,6 +91,15 @@ def test_cameras_that_see_nothing_are_refused() -> None:
         rank_views(away, ball(), SHARP, 4)
     with refuses():
         points_as_gaussians(np.eye(3))
+
+
+def test_photographs_come_by_what_they_add(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, cameras = scene(tmp_path)
+    write_colmap(cameras, folder / "sparse" / "0", (np.zeros((1, 3)), np.zeros((1, 3), np.uint8)))
+    monkeypatch.setattr("scoup.extract.photograph_choice._surface", lambda *_: ball())
+    monkeypatch.setattr("scoup.extract.photograph_choice.rank_views", lambda *_: [2, 0])
+    chosen = choose_photographs(folder, find_photographs(folder), 2)
+    assert [item.name for item in chosen] == ["2.png", "0.png"]
 
 
 def test_numbers_of_photographs() -> None:

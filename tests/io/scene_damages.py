@@ -175,6 +175,7 @@ LABELS = {
 }  # fmt: skip
 ROWS = {
     "nan": np.where(np.arange(16).reshape(4, 4) == 4, np.float32("nan"), unit_rows(4)), "one": unit_rows(4)[0],
+    "inf": np.where(np.arange(16).reshape(4, 4) == 4, np.float32("inf"), unit_rows(4)),
     "integers": unit_rows(4).astype(np.int32), "no dimension": np.zeros((4, 0), np.float32),
 }  # fmt: skip
 

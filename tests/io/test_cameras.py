@@ -86,7 +86,9 @@ def test_text_with_empty_keypoint_lines_and_spaces_in_names(tmp_path: Path) -> N
     ("1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002", (0.1, -0.02, 0.001, 0.002)),
 ])  # fmt: skip
 def test_distortion_is_kept_where_it_may_be(tmp_path: Path, line: str, expected: tuple[float, ...]) -> None:
-    assert read_colmap(text_model(tmp_path, line), distorted="undistort")[0].distortion == expected
+    camera = read_colmap(text_model(tmp_path, line), distorted="undistort")[0]
+    assert camera.distortion == expected
+    assert camera.K[:2, 2].tolist() == [20, 15]
     zeros = " ".join("0" if "0." in value else value for value in line.split())
     assert read_colmap(text_model(tmp_path, zeros))[0].distortion == ()
 
