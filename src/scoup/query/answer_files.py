@@ -221,10 +221,10 @@ class AnswerSheets:
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
-    """The rows of the best answers, chosen by the texts in turn, in their order."""
+    """Return the rows of the best answers, chosen by the texts in turn, in their order."""
     left, columns = list(range(len(rows))), len(rows[0].cells)
     for turn in range(min(count, len(rows))):
-        # Of equals the first.
+        # The first of equals.
         left.remove(max(left, key=lambda number: rows[number].cells[turn % columns].coverage))
     return [row for number, row in enumerate(rows) if number not in left]
 

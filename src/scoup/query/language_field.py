@@ -204,7 +204,7 @@ class LanguageField(Field):
             "question", frame=(frame, (Frame, type(None))), level=(level, (str, Integral, type(None)))
         )
         if isinstance(texts, Question):
-            if always or any(each is not None for each in (present_from, threshold, level, frame)):
+            if always or any(option is not None for option in (present_from, threshold, level, frame)):
                 raise InputError("a question has its options; pass them when it is made, or its texts here")
             if texts.queries.shape[1] != self.dim:
                 raise InputError(

@@ -77,7 +77,7 @@ class ViewAnswer:
 
     @property
     def text(self) -> str:
-        """What was asked."""
+        """The text asked."""
         return self.answer.text
 
     @property
@@ -92,12 +92,12 @@ class ViewAnswer:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is in the scene."""
+        """True if the thing is in the scene."""
         return self.answer.presence
 
     @property
     def visible(self) -> bool:
-        """Whether the thing is visible from here."""
+        """True if the thing is visible from here."""
         return self.point is not None
 
     @property
@@ -214,10 +214,10 @@ def main_parts(mask: Tensor) -> tuple[Tensor, Tensor]:
     ndimage.label(inside, np.ones((3, 3)), output=labels)  # pyright: ignore[reportArgumentType]
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    kept = areas >= constants.SPECK * areas.max()
-    kept[0] = False
+    is_main = areas >= constants.SPECK * areas.max()
+    is_main[0] = False
     parts, largest = torch.zeros_like(mask), torch.zeros_like(mask)
-    parts[window] = torch.from_numpy(kept[labels])
+    parts[window] = torch.from_numpy(is_main[labels])
     largest[window] = torch.from_numpy(labels == areas.argmax())
     return parts, largest
 
