@@ -110,7 +110,7 @@ def part_data(field: Field, shown: PageGaussians, effort: int = 6) -> bytes:
 def _rows(
     field: Field, shown: PageGaussians, codes: UnitCodes
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return what a file has per Gaussian, and the ranges of its fractions."""
+    """Return the arrays of a file, per Gaussian, and the ranges of its fractions."""
     largest = float(codes.weights.max()) if codes.weights.numel() else 0.0
     tensors, ranges = _splat(shown.gaussians)
     tensors |= {

@@ -111,7 +111,7 @@ class Viewer:
         return not self._ended.is_set()
 
     def wait(self) -> None:
-        """Until it is closed, or interrupted."""
+        """Wait until it is closed, or interrupted."""
         while not self._ended.wait(0.5):
             pass
 
@@ -186,12 +186,12 @@ def check_needed() -> None:
 
 
 def _nothing(record: logging.LogRecord) -> bool:
-    """Filter that lets no message through."""
+    """Drop every message."""
     return False
 
 
 def bound_socket(host: str, port: int | None) -> socket.socket:
-    """A socket that is bound to host and port.
+    """Return a socket that is bound to host and port.
 
     Raises:
         InputError: the system refuses.
@@ -218,6 +218,6 @@ def bound_socket(host: str, port: int | None) -> socket.socket:
 
 
 def _shown_host(host: str) -> str:
-    """The host as an address names it: of one that stands for all of a machine's, the name of the machine."""
+    """Return the host as an address names it: the name of the machine for one that stands for all of its hosts."""
     name = socket.gethostname() if host in ("0.0.0.0", "::") else host
     return f"[{name}]" if ":" in name else name
