@@ -50,7 +50,7 @@ def vector_bytes(vectors: Tensor) -> bytes:
 
 
 class KeptScans:
-    """What was read of the scans of an archive; files that have not changed are read once.
+    """A cache of the scans of an archive; files that have not changed are read once.
 
     Args:
         folder: of the archive.
@@ -69,22 +69,21 @@ class KeptScans:
     def ask(
         self,
         use: Callable[[dict[str, Scan]], Found],
-        used: Callable[[Found], Iterable[str]] = lambda found: (),
+        used: Callable[[Found], Iterable[str]] = lambda result: (),
     ) -> Found:
-        """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
-        or those that an error may be about, and a few times if any has, whose rows another may have got: others may be
-        added all the time."""
+        """Return ``use(scans)`` of the present scans, by name; again if ``used`` ones have changed meanwhile, or ones
+        that an error may be about; the first few times if any has, as another scan may have its rows now."""
         tried = 0
         while True:
             tried += 1
             stamps = self._listed()
             try:
-                found = use(self._read(stamps))
-                if not self._changed(stamps, used(found) if tried > MOST_TRIED else stamps):
-                    return found
+                result = use(self._read(stamps))
+                if not self._changed(stamps, used(result) if tried > MOST_TRIED else stamps):
+                    return result
             except Exception as error:  # DuckDB has its own
                 path = getattr(error, "path", None)
-                named = [each for each in stamps if file_of(self._folder, each) == path]
+                named = [name for name in stamps if file_of(self._folder, name) == path]
                 if not self._changed(stamps, named or stamps):
                     raise
 
