@@ -24,7 +24,7 @@ NPZ = "relevancy.npz"
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
 VIEWS_BESIDE = 4  # in a row, of one text
-WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, more or less
+WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, approximately
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 

@@ -97,7 +97,7 @@ def evaluated(
     def of_leaf(leaf: str | Phrase) -> _Selected:
         things: list[Thing] = []
         if of_texts:
-            # At a level of choice, parts are of other levels.
+            # Parts are of other levels than the one that was asked for.
             by_text = of_texts if question.level is not None else apart(field, question, leaf, of_texts)
             things = resolve(field, leaf, by_text, frame)
         mask = answers[leaf].mask if isinstance(leaf, str) else _union(things, len(field))
@@ -117,7 +117,7 @@ def evaluated(
         text=said,
         mask=mask if presence or tree.is_plain else torch.zeros_like(mask),
         level=matches[0].level if matches and frame is not None else best.level,
-        score=best.score if wanted else None,  # nobody asked for what stands under "not" alone
+        score=best.score if wanted else None,  # texts under "not" alone have no score
         asked=best.asked,
         presence=presence,
         things=tuple(numbers),

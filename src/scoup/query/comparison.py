@@ -229,9 +229,9 @@ def _check_frames(old: _Capture, new: _Capture) -> None:
 class _Missing:
     """An object that is not there in the other capture."""
 
-    things: list[Thing]  # it and its parts, as levels cut it; the largest first
+    things: list[Thing]  # it and its parts at all levels, largest first
     looks: Array  # [T, D] of each
-    absent: float  # share of the first that is not there
+    absent: float  # share of the first that is missing
     seen: float  # share of its place that the other capture saw
 
     def change(self, kind: Literal["added", "removed"]) -> Change:

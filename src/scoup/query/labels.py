@@ -131,7 +131,7 @@ def labels_of(field: Field, answers: Sequence[Answer]) -> GaussianLabels:
 def labels_of_answers(answers: Sequence[Answer], levels: Sequence[str]) -> Tensor:
     """Return the number of the word of each Gaussian, [N] int32, ``NONE`` for none."""
     ids = torch.full((len(answers[0].mask),), NONE, dtype=torch.int32)
-    # The word that counts comes last and overwrites the others; of equals the first word counts.
+    # The best word comes last and overwrites the others; of equals the first word wins.
     order = sorted(
         range(len(answers)),
         key=lambda number: (-levels.index(answers[number].level), answers[number].score or 0.0, -number),

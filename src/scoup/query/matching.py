@@ -94,7 +94,7 @@ class _Sets:
         )
         ordered, order = ordered[..., : constants.MOST_TOGETHER + 1], order[..., : constants.MOST_TOGETHER]
         count, rank = of_level.sum(1)[:, None, None], torch.arange(constants.MOST_TOGETHER + 1)
-        # Behind all things of a level stands a thing like any other.
+        # A thing of median fit follows the last one of a level.
         last = ordered.roll(1, 2)
         ordered = torch.where(rank == count, torch.minimum(middle, last), ordered)
         is_set = (rank[:-1] < count).expand_as(order)

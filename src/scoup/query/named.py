@@ -92,8 +92,8 @@ def joined(
     if chosen.max() >= constants.AGREES * most:
         return _chosen(choice, things[chosen >= constants.TOGETHER * chosen.max()], levels, fits)
     best = fits[usable].max()
-    # A thing that fits like the median thing has e times fewer votes than one that fits best; as logarithms, because
-    # where most things fit alike, others have fewer than any number is small.
+    # A thing that fits like the median thing has e times fewer votes than the best one; in logarithms, as votes
+    # underflow where most things fit alike.
     lowered = votes.log() + (fits - best).clamp(max=0) / (best - fits[usable].median()).clamp(min=1e-6)
     together = (lowered >= lowered.max() + math.log(constants.TOGETHER)) & (
         levels == levels[lowered.argmax()]

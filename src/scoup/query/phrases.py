@@ -62,7 +62,7 @@ RESERVED = frozenset(
 )
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
 _STOPS = ",;."  # after a noun
-_SPACE = "\0"  # before each word of what stands in double quotes
+_SPACE = "\0"  # before each word in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -76,7 +76,7 @@ class Phrase:
 
     text: str  # "" before a relation: any object
     relation: str = ""  # a key of RELATIONS; "" for none
-    anchors: tuple[Target, ...] = ()  # what the relation refers to: one, for "between" two
+    anchors: tuple[Target, ...] = ()  # targets of the relation: one, for "between" two
     order: str = ""  # "largest", "smallest", or one of SIDES to count from; "" keeps all
     rank: int = 1  # in that order
 

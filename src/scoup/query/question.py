@@ -162,7 +162,7 @@ def make_question(
     if isinstance(texts, (list, tuple)) and not texts:
         raise InputError('pass at least one text, for example "kettle"')
     if not all(isinstance(text, (str, Expression)) for text in given):
-        given = ()  # vectors, or what cannot be asked
+        given = ()  # vectors, or an invalid question
 
     def made() -> Question[Any]:
         asked = tuple(
@@ -205,7 +205,7 @@ def naming_question(field: Field, encoder: TextEncoder, words: Sequence[str] = (
     def made() -> Question[Any]:
         given = None if field.thing_table is None else field.thing_table.names
         every = words or everyday_vocabulary(encoder)
-        if not words and given is not None and encoder.names is None:  # a table has no more than its names
+        if not words and given is not None and encoder.names is None:  # a table has only its names
             folded = {word.casefold() for word in every}
             every = (*every, *(text for text in given.texts if text.casefold() not in folded))
         if not every:

@@ -133,7 +133,7 @@ def _above(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     over = max(shapes.overlap(one, other), shapes.overlap(other, one))
     height = shapes.extent(one)[UP]
     clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - constants.CONTACT * height
-    # What stands on the lower end of something tall is not under it.
+    # A thing on the lower end of something tall is not under it.
     clear = clear and not _on(shapes, other, (one,))
     return bool(over >= constants.OVER_PART and (clear or _on(shapes, one, others)))
 

@@ -178,7 +178,7 @@ def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
     index_of = torch.full((len(table) + 1,), -1, dtype=torch.int64)
     index_of[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
     for owners in table.owners.cpu().T:
-        indices = index_of[owners.long()]  # NO_THING reads the last, which is none
+        indices = index_of[owners.long()]  # NO_THING reads the last, -1
         rows = true_rows(indices >= 0)
         order = indices[rows].argsort(stable=True)
         of_thing, counts = indices[rows].unique(return_counts=True)
@@ -225,7 +225,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
         part
         for part in heaviest
         if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= constants.STRAY_SHARE * weights.max()
-    ] or heaviest[:1]  # where all are small, they are what there is
+    ] or heaviest[:1]  # the heaviest if all are small
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
         replace(thing, text=answer.text)

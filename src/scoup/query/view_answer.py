@@ -120,7 +120,7 @@ class ViewAnswer:
         return f"ViewAnswer({self.text!r} in {self.view!r}: {facts if self.visible else self.remark()})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "source": None}  # which holds the scene
+        return {**self.__dict__, "source": None}  # it contains the scene
 
     def _repr_html_(self) -> str:
         return card(f"{self.text!r} in {self.view}", self.to_dict(), as_picture(self.pictures()["overlay"]))
@@ -190,7 +190,7 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
     """Return (x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None of an empty mask."""
     if not mask.numel():
         return None
-    bits = mask.view(torch.uint8)  # torch finds their largest much sooner than any of a boolean
+    bits = mask.view(torch.uint8)  # torch reduces bytes much faster than booleans
     rows, columns = bits.amax(1).nonzero()[:, 0], bits.amax(0).nonzero()[:, 0]
     if not len(rows):
         return None

@@ -104,7 +104,7 @@ def _most_stable(values: Tensor, coded: Tensor) -> Selection:
     peaks = spans[:, 1].tolist()
     means = torch.where(areas > 0, sums / areas, -torch.inf).tolist()
     order = means if bool(areas.any()) else peaks
-    number = order.index(max(order))  # the first of levels alike
+    number = order.index(max(order))  # the first of equals
     return Selection(masks[number], values[number], number, float(thresholds[number]))
 
 
