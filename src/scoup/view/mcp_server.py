@@ -98,7 +98,7 @@ async def _serve(server: Any, stopped: list[int]) -> None:
         stopped.append(number)
         task.cancel()
 
-    # An exception of a signal would be raised wherever the loop is, and be reported as a fault.
+    # Without handlers, a signal raises inside the loop, which reports a fault.
     with suppress(NotImplementedError):  # on Windows
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, stop, number)
@@ -189,7 +189,7 @@ def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, An
 def _without_folders(message: str, tools: SceneTools) -> str:
     """Remove the folders of this machine from a message."""
     for field in tools.fields.values():  # whose folders may have spaces in their names
-        # Not the encoder's: an error may be that none can be opened.
+        # Not the encoder's: it may be impossible to open one.
         words = field.info.words or field.embedding_model if field.words is None else field.words
         for source in (field.path, field.geometry_path, words):
             if source and isinstance(source, (str, Path)):

@@ -67,7 +67,7 @@ def scene_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
 def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
     coded, answers = field.coded_levels().cpu(), answers_of(field, question)
     by_things = answers[0].threshold is None
-    if by_things:  # the page draws things, so an expression is present where there are some
+    if by_things:  # the page draws things, so an expression is present if it has any
         answers = [
             replace(one, presence=bool(one.things)) if isinstance(one, ExpressionAnswer) else one
             for one in answers

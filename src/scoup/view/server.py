@@ -31,7 +31,7 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_MOST_PACKED = 64 << 20  # bytes that are kept: parts of a million Gaussians are packed once
+_MOST_PACKED = 64 << 20  # bytes of the cache: parts of a million Gaussians are packed once
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -179,7 +179,7 @@ async def _text(content: Any, media_type: str, request: Request) -> Response:
 def _number(request: Request, count: int) -> int:
     """Return the number in the path, which must be below the count."""
     digits = request.path_params["number"]
-    # Not by starlette's int: a number of thousands of digits is a fault to Python.
+    # Not starlette's int: Python refuses to parse thousands of digits.
     number = int(digits) if digits.isascii() and digits.isdecimal() and len(digits) < 10 else count
     if number >= count:
         raise HTTPException(404)
@@ -224,7 +224,7 @@ class _Guarded:
         headers = Request(scope).headers
         names = headers.get("host"), headers.get("origin"), headers.get("sec-fetch-site")
         reason = self.guard.refuses(scope["method"], *names)
-        # Who lacks the token has one answer per connection.
+        # Without the token, a connection gets one answer.
         ends = reason is not None or not scope["path"].startswith(f"{self.guard.prefix}/")
         added = {**HEADERS, "connection": "close"} if ends else HEADERS
 
@@ -235,7 +235,7 @@ class _Guarded:
             body = message.get("body", b"")
             for start in range(PART, len(body), PART):  # a client has a deadline for each
                 await send({**message, "body": body[start - PART : start], "more_body": True})
-                await asyncio.sleep(0)  # others have their turn
+                await asyncio.sleep(0)  # let other tasks run
             await send({**message, "body": body[(len(body) - 1) // PART * PART :]} if body else message)
 
         if reason is not None:

@@ -54,7 +54,7 @@ class ViewedField:
         if most < 1:
             raise InputError(f"a page shows at least 1 Gaussian, got {most}")
         self.field = field
-        self.gaussians = field.gaussians  # refused at once if it is not there
+        self.gaussians = field.gaussians  # fails at once if it is missing
         self.most = most
         self.name = "field" if field.path is None else field.path.name
         self.table = str(field.words) if isinstance(field.words, (str, Path)) else None
@@ -83,7 +83,7 @@ class ViewedField:
         """Return the settings of a page: "live", "remote" or "exported"."""
         from scoup.base import VERSION
 
-        # Where a page is sent to, the folders of this machine mean nothing.
+        # The folders of this machine mean nothing elsewhere.
         path, table = (
             name if mode != "exported" or name is None or not _is_file(name) else Path(name).name
             for name in (self.path, self.table)
