@@ -171,7 +171,7 @@ class Archive:
         self._about()
 
     def scans(self) -> dict[str, Scan]:
-        """Return what is known of each scan, by name.
+        """Return the scans by name.
 
         Raises:
             FileFormatError: a file is damaged; the error names it.
@@ -179,7 +179,7 @@ class Archive:
         return self._kept.ask(dict)
 
     def counts(self) -> dict[str, int]:
-        """Return how many things each scan has, as ``field.things()`` counts them; errors as of ``scans``."""
+        """Return the number of things per scan, as ``field.things()`` counts them; errors as of ``scans``."""
         return {
             name: int((scan.arrays["placed"] & (scan.arrays["counts"] >= LEAST_GAUSSIANS)).sum())
             for name, scan in self.scans().items()
@@ -447,7 +447,7 @@ class Archive:
         unasked: list[UnaskedScanError] = []
         for bound, ask in asked.batches():
             if top is not None and len(answers) >= top and min(answer.rank for answer in answers) >= bound:
-                break  # all that follow are lower
+                break  # all later ones are lower
             try:
                 answers += [answer for answer in ask() if _is_wanted(answer, wanted)]
             except UnaskedScanError as error:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 MATRIX = "vectors.f16"
-MOST_TRIED = 3  # times that all scans have to be as they were
+MOST_TRIED = 3  # attempts that require all scans to be unchanged
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Found = TypeVar("Found")
@@ -59,7 +59,7 @@ class KeptScans:
 
     def __init__(self, folder: Path, connection: Callable[[], DuckDBPyConnection]) -> None:
         self._folder, self._connection = folder, connection
-        self._lock = Lock()  # of all that follow
+        self._lock = Lock()  # of the attributes below
         self._scans: dict[str, tuple[Stamp, Scan]] = {}
         self._parts: dict[Scan, ThingIndex] = {}
         self._index: ThingIndex | None = None  # of these parts
@@ -95,7 +95,7 @@ class KeptScans:
                 self._parts, self._digest = {}, digest
             if (
                 self._parts and self._matrix_size() < self._mapped
-            ):  # reading what was cut off would end the process
+            ):  # reading beyond the end of the file would end the process
                 self._parts, self._index = {}, None
             if self._index is None or [*scans.values()] != [*self._parts]:
                 new = [scan for scan in scans.values() if scan not in self._parts]
@@ -160,7 +160,7 @@ class KeptScans:
         path, data = self._folder / MATRIX, np.empty(0, np.uint8)
         self._mapped = self._matrix_size()
         if self._mapped:
-            data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
+            data = np.memmap(path, np.uint8, "c")  # private, as torch warns about read-only arrays
         size = 2 * words.shape[1]
         for scan in scans:
             rows = data[scan.row * size : (scan.row + len(scan)) * size]
