@@ -46,10 +46,10 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
             raise InputError("`text` and `at_least` are for calls without `image`")
         with one_at_a_time:
             if image is None:
-                found = archive.find(text, where, limit, at_least)
+                things = archive.find(text, where, limit, at_least)
             else:
-                found = archive.find_image(_decoded(image), where, limit)
-        records = [each.to_dict() for each in found]
+                things = archive.find_image(_decoded(image), where, limit)
+        records = [thing.to_dict() for thing in things]
         for record in records:
             del record["field"]  # a path of this machine
         return {"things": records}

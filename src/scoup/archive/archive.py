@@ -110,7 +110,7 @@ class FoundThing:
 
     def describe(self) -> str:
         """Return scan, number, position and extent in words, for people."""
-        position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
+        position = ", ".join(f"{value:g}" for value in rounded_vector(self.position.tolist()))
         extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
         return f"{self.scan}, thing {self.thing}, level {self.level}, at [{position}], extent {extent}"
 
@@ -171,7 +171,7 @@ class Archive:
         self._about()
 
     def scans(self) -> dict[str, Scan]:
-        """Return what is known of each scan, by name.
+        """Return the scans by name.
 
         Raises:
             FileFormatError: a file is damaged; the error names it.
@@ -179,7 +179,7 @@ class Archive:
         return self._kept.ask(dict)
 
     def counts(self) -> dict[str, int]:
-        """Return how many things each scan has, as ``field.things()`` counts them; errors as of ``scans``."""
+        """Return the number of things per scan, as ``field.things()`` counts them; errors as of ``scans``."""
         return {
             name: int((scan.arrays["placed"] & (scan.arrays["counts"] >= LEAST_GAUSSIANS)).sum())
             for name, scan in self.scans().items()
@@ -249,7 +249,7 @@ class Archive:
         Raises:
             UnknownNameError: there is no such scan.
         """
-        file = looked_up("scan", name, {each: file_of(self.folder, each) for each in scan_names(self.folder)})
+        file = looked_up("scan", name, {scan: file_of(self.folder, scan) for scan in scan_names(self.folder)})
         with self._kept.writing():
             file.unlink(missing_ok=True)
 
@@ -289,19 +289,19 @@ class Archive:
         encoder = self.text_encoder()
         search = Search.of(question, encoder, self._encode(encoder), present_from)
 
-        def found(scans: dict[str, Scan]) -> list[FoundThing]:
+        def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
             index = self._kept.index(scans, search.words, search.digest)
             asked = AskedScans(search, [*scans.values()], index)
             answers = self._answers(asked, wanted, None if at_least else top)
             if at_least is not None:
-                of_scan = [[*each] for _, each in groupby(answers, lambda found: found.scene)]
+                of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
                 of_scan.sort(key=len, reverse=True)
-                answers = [found for each in of_scan[:top] if len(each) >= at_least for found in each]
+                answers = [answer for group in of_scan[:top] if len(group) >= at_least for answer in group]
             return self._found(scans, answers)
 
-        return self._kept.ask(found, lambda found: (each.scan for each in found))
+        return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
     def find_image(
         self, image: str | Path | Image.Image, where: str | None = None, top: int = 20
@@ -329,20 +329,20 @@ class Archive:
                 pixels = _pixels(opened)
         vector = self._embedded(pixels)
 
-        def found(scans: dict[str, Scan]) -> list[FoundThing]:
+        def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
             index = self._kept.index(scans, vector[None], "")
             alike = (
-                each
-                for each in look_alikes(
+                answer
+                for answer in look_alikes(
                     index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
                 )
-                if _is_wanted(each, wanted)
+                if _is_wanted(answer, wanted)
             )
             return self._found(scans, [*islice(alike, top)])
 
-        return self._kept.ask(found, lambda found: (each.scan for each in found))
+        return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -382,7 +382,7 @@ class Archive:
         return self._connection.cursor()
 
     def _about(self) -> dict[str, Any]:
-        """Return what archive.json says; nothing before the first scan."""
+        """Return the contents of archive.json; empty before the first scan."""
         path = self.folder / ABOUT
         try:
             about = json.loads(path.read_text(encoding="utf-8"))
@@ -405,12 +405,12 @@ class Archive:
             raise FileFormatError(path, f"does not describe an archive ({error})", remedy) from error
 
     def _check_model(self, field: LanguageField) -> dict[str, Any]:
-        """Refuse a field of another embedding model; returns what archive.json says, or will say."""
+        """Refuse a field of another embedding model; return the present or future contents of archive.json."""
         words = relative_place(self.folder.resolve() / ABOUT, field.info.words)
-        own = {"embedding_model": field.embedding_model, "dim": field.dim}
-        about = self._about() or {"format": FORMAT, "version": VERSION, **own, "words": words}
-        if own != {name: about[name] for name in own}:
-            problem = f"contains {_embeddings(**own)}, the archive {self.folder} {_embeddings(**about)}"
+        model = {"embedding_model": field.embedding_model, "dim": field.dim}
+        about = self._about() or {"format": FORMAT, "version": VERSION, **model, "words": words}
+        if model != {name: about[name] for name in model}:
+            problem = f"contains {_embeddings(**model)}, the archive {self.folder} {_embeddings(**about)}"
             raise FileFormatError(field.path or self.folder, problem, "use an archive per embedding model")
         return about
 
@@ -427,13 +427,13 @@ class Archive:
         about = self._about()
         if not about:
             raise InputError(f"{self.folder}: contains no scan; add fields")
-        own = _embeddings(**about)
         try:
             self._embedder = self._embedder or open_embedder(about["embedding_model"])
             if self._embedder.dim != about["dim"]:
                 raise InputError(f"it has {self._embedder.dim} dimensions")
         except ScoupError as error:
-            problem = f"contains {own}, and its model embeds no image here ({str(error).partition(';')[0]})"
+            reason = str(error).partition(";")[0]
+            problem = f"contains {_embeddings(**about)}, and its model embeds no image here ({reason})"
             raise InputError(f"{self.folder}: {problem}; ask with a text") from error
         whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
         return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
@@ -446,14 +446,14 @@ class Archive:
         answers: list[Found] = []
         unasked: list[UnaskedScanError] = []
         for bound, ask in asked.batches():
-            if top is not None and len(answers) >= top and min(each.rank for each in answers) >= bound:
-                break  # all that follow are lower
+            if top is not None and len(answers) >= top and min(answer.rank for answer in answers) >= bound:
+                break  # all later ones are lower
             try:
-                answers += [each for each in ask() if _is_wanted(each, wanted)]
+                answers += [answer for answer in ask() if _is_wanted(answer, wanted)]
             except UnaskedScanError as error:
                 unasked.append(error)
             if top is not None:
-                answers = heapq.nlargest(top, answers, key=lambda each: each.rank)
+                answers = heapq.nlargest(top, answers, key=lambda answer: answer.rank)
         fatal = unasked.pop() if unasked and not answers else None
         for error in unasked:
             warnings.warn(str(error), ScoupWarning, stacklevel=5)
@@ -483,20 +483,20 @@ class Archive:
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
         """Return things with their places."""
         of_scene = [*scans.values()]
-        places = read_places([(of_scene[each.scene], each.thing) for each in answers], self._cursor())
+        places = read_places([(of_scene[one.scene], one.thing) for one in answers], self._cursor())
         return [
             FoundThing(
-                scan.name, each.thing, each.text, scan.levels[int(scan.arrays["levels"][each.thing])], each.score,
-                position, box, int(scan.arrays["counts"][each.thing]), scan.columns, scan.field_path,
+                scan.name, one.thing, one.text, scan.levels[int(scan.arrays["levels"][one.thing])], one.score,
+                position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
             )
-            for each, (position, box) in zip(answers, places, strict=True)
-            for scan in [of_scene[each.scene]]
+            for one, (position, box) in zip(answers, places, strict=True)
+            for scan in [of_scene[one.scene]]
         ]  # fmt: skip
 
 
-def _is_wanted(found: Found, wanted: Wanted) -> bool:
-    things = wanted.get(found.scene, ())
-    return things is None or found.thing in things
+def _is_wanted(answer: Found, wanted: Wanted) -> bool:
+    things = wanted.get(answer.scene, ())
+    return things is None or answer.thing in things
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
@@ -505,5 +505,5 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
 
 
 def _embeddings(embedding_model: str, dim: int, **_: Any) -> str:
-    """Return in words what a field contains."""
+    """Describe the embeddings of a field."""
     return f"embeddings of {embedding_model or 'an unnamed model'} ({dim} dimensions)"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 MATRIX = "vectors.f16"
-MOST_TRIED = 3  # times that all scans have to be as they were
+MOST_TRIED = 3  # attempts that require all scans to be unchanged
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Found = TypeVar("Found")
@@ -50,7 +50,7 @@ def vector_bytes(vectors: Tensor) -> bytes:
 
 
 class KeptScans:
-    """What was read of the scans of an archive; files that have not changed are read once.
+    """A cache of the scans of an archive; files that have not changed are read once.
 
     Args:
         folder: of the archive.
@@ -59,7 +59,7 @@ class KeptScans:
 
     def __init__(self, folder: Path, connection: Callable[[], DuckDBPyConnection]) -> None:
         self._folder, self._connection = folder, connection
-        self._lock = Lock()  # of all that follow
+        self._lock = Lock()  # of the attributes below
         self._scans: dict[str, tuple[Stamp, Scan]] = {}
         self._parts: dict[Scan, ThingIndex] = {}
         self._index: ThingIndex | None = None  # of these parts
@@ -69,22 +69,21 @@ class KeptScans:
     def ask(
         self,
         use: Callable[[dict[str, Scan]], Found],
-        used: Callable[[Found], Iterable[str]] = lambda found: (),
+        used: Callable[[Found], Iterable[str]] = lambda result: (),
     ) -> Found:
-        """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
-        or those that an error may be about, and a few times if any has, whose rows another may have got: others may be
-        added all the time."""
+        """Return ``use(scans)`` of the present scans, by name; again if ``used`` ones have changed meanwhile, or ones
+        that an error may be about; the first few times if any has, as another scan may have its rows now."""
         tried = 0
         while True:
             tried += 1
             stamps = self._listed()
             try:
-                found = use(self._read(stamps))
-                if not self._changed(stamps, used(found) if tried > MOST_TRIED else stamps):
-                    return found
+                result = use(self._read(stamps))
+                if not self._changed(stamps, used(result) if tried > MOST_TRIED else stamps):
+                    return result
             except Exception as error:  # DuckDB has its own
                 path = getattr(error, "path", None)
-                named = [each for each in stamps if file_of(self._folder, each) == path]
+                named = [name for name in stamps if file_of(self._folder, name) == path]
                 if not self._changed(stamps, named or stamps):
                     raise
 
@@ -96,7 +95,7 @@ class KeptScans:
                 self._parts, self._digest = {}, digest
             if (
                 self._parts and self._matrix_size() < self._mapped
-            ):  # reading what was cut off would end the process
+            ):  # reading beyond the end of the file would end the process
                 self._parts, self._index = {}, None
             if self._index is None or [*scans.values()] != [*self._parts]:
                 new = [scan for scan in scans.values() if scan not in self._parts]
@@ -161,7 +160,7 @@ class KeptScans:
         path, data = self._folder / MATRIX, np.empty(0, np.uint8)
         self._mapped = self._matrix_size()
         if self._mapped:
-            data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
+            data = np.memmap(path, np.uint8, "c")  # private, as torch warns about read-only arrays
         size = 2 * words.shape[1]
         for scan in scans:
             rows = data[scan.row * size : (scan.row + len(scan)) * size]

@@ -1,4 +1,4 @@
-"""What an archive found, as a page with pictures."""
+"""The results of an archive, as a page with pictures."""
 
 from __future__ import annotations
 
@@ -23,45 +23,45 @@ _FOUND = """{% extends "page" %}{% block body %}<ul>
 {% endfor %}</ul>{% endblock %}"""
 
 
-def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
-    """Return a page of things, with pictures of those whose fields are there and have cameras.
+def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
+    """Return a page of things, with pictures where their fields are there and have cameras.
 
     Pictures are drawn now, for these things only: drawing all would slow adding scans, and most are never shown.
 
     Args:
         title: above them.
-        found: each links to its scan's page, if `scoup view` has exported one beside the field.
-        place: of the page, for links.
+        results: each links to its scan's page, if `scoup view` has exported one beside the field.
+        path: of the page, for links.
     """
     pictures = {
         (scan, number): picture
-        for scan in dict.fromkeys(each.scan for each in found)
-        for number, picture in _pictures([each for each in found if each.scan == scan])
+        for scan in dict.fromkeys(thing.scan for thing in results)
+        for number, picture in _pictures([thing for thing in results if thing.scan == scan])
     }
-    things = [(each, pictures.get((each.scan, each.thing)), _link(each, place)) for each in found]
+    things = [(thing, pictures.get((thing.scan, thing.thing)), _link(thing, path)) for thing in results]
     return html(_FOUND, title=title, found=things)
 
 
-def _pictures(found: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
+def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
     """Yield number and picture, as an address, of things of one scan."""
     try:
-        field = found[0].field()
+        field = results[0].field()
         count = 0 if field.thing_table is None else len(field.thing_table)
-        wanted = {each.thing: each.position for each in found if each.thing < count}
+        wanted = {thing.thing: thing.position for thing in results if thing.thing < count}
         things = [
             thing
             for thing in (things_of_table(field, [*wanted]) if wanted else ())
             if torch.equal(thing.position, wanted[thing.number or 0])
         ]
-        if len(things) < len(found):
+        if len(things) < len(results):
             warnings.warn(f"{field.path}: has changed; add it again", ScoupWarning, stacklevel=3)
         for thing, picture in draw_things(field, things, list(field.cameras or ())):
             yield thing.number or 0, data_address(picture)
     except ScoupError as error:
-        warnings.warn(f"no pictures of the scan {found[0].scan}: {error}", ScoupWarning, stacklevel=3)
+        warnings.warn(f"no pictures of the scan {results[0].scan}: {error}", ScoupWarning, stacklevel=3)
 
 
-def _link(thing: FoundThing, place: Path) -> str:
+def _link(thing: FoundThing, path: Path) -> str:
     """Return the address of a thing in its scan's page; "" without one."""
     exported = thing.field_path.with_suffix(".html")
-    return f"{quote(relative_place(place, exported) or '')}#thing={thing.thing}" if exported.is_file() else ""
+    return f"{quote(relative_place(path, exported) or '')}#thing={thing.thing}" if exported.is_file() else ""

@@ -1,5 +1,5 @@
 """One scan of an archive: a Parquet file with a row per thing, written by DuckDB, for people and for conditions in SQL.
-What is needed to compare its things with a text is in the metadata, and their vectors are in the matrix.
+The data for comparing its things with a text is in the metadata, and their vectors are in the matrix.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _OF_NAMES = ("presence", "rows", "things", "votes")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scan:
-    """What the file of a scan says of its T things together."""
+    """The metadata of a scan: all of its T things together."""
 
     file: Path
     field: str  # its file, relative to the folder of the archive
@@ -169,15 +169,15 @@ def read_places(
                 "things": list({thing for _, thing in wanted}),
             },
         ).fetchall()
-        places = {(file, thing): place for file, thing, *place in rows}
-        found = []
+        places = {(file, thing): values for file, thing, *values in rows}
+        located = []
         for scan, thing in wanted:
             parts = zip(places[str(scan.file), thing], _PLACE.values(), strict=True)
-            position, *box = (torch.tensor(each, dtype=torch.float64).reshape(shape) for each, shape in parts)
-            found.append((position, OrientedBox(*box)))
-        return found
+            position, *box = (torch.tensor(data, dtype=torch.float64).reshape(shape) for data, shape in parts)
+            located.append((position, OrientedBox(*box)))
+        return located
 
-    return _read(read, wanted, lambda each: each[0].file)
+    return _read(read, wanted, lambda pair: pair[0].file)
 
 
 def _read(
@@ -224,8 +224,8 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
     places: dict[str, list[Any]] = {name: [None] * len(scan) for name in _PLACE}
     for thing in things:
         parts = (thing.position, thing.box.centre, thing.box.axes, thing.box.extent)
-        for name, part in zip(_PLACE, parts, strict=True):
-            places[name][thing.number or 0] = part.flatten().tolist()
+        for name, tensor in zip(_PLACE, parts, strict=True):
+            places[name][thing.number or 0] = tensor.flatten().tolist()
     values: dict[str, Sequence[Any]] = {
         "scan": [scan.name] * len(scan),
         "thing": list(range(len(scan))),
@@ -239,21 +239,21 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
         "names": names,
     }
     columns = ", ".join(f"unnest(${name}::{kind}[]) AS {name}" for name, kind in _COLUMNS.items())
-    own = "".join(
+    extra = "".join(
         f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in scan.columns.items()
     )
     given_values = {**values, **{f"own_{name}": value for name, value in scan.columns.items()}}
     metadata = _quoted(json.dumps(_header(scan)))
     with atomic_path(scan.file, overwrite=True, wait=WAIT) as temporary:
         connection = connect()
-        connection.execute(f"CREATE TABLE things AS SELECT {columns}{own}", given_values)
+        connection.execute(f"CREATE TABLE things AS SELECT {columns}{extra}", given_values)
         connection.execute(
             f"COPY things TO {_quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
         )
 
 
 def _header(scan: Scan) -> dict[str, Any]:
-    data = save({name: each.contiguous() for name, each in scan.arrays.items()})
+    data = save({name: tensor.contiguous() for name, tensor in scan.arrays.items()})
     header = {
         "format": FORMAT,
         "version": VERSION,

@@ -85,7 +85,7 @@ class Search:
         return cls(expression, question, encoder, encode, words, words_digest(words))
 
     def named(self, scan: Scan) -> list[Named | None]:
-        """Return what a model with words said of the texts in a scan."""
+        """Return for each text its ``Named`` in a scan; None without one."""
         names = scan.names
         if names is None:
             return [None] * len(self.question.texts)
@@ -111,7 +111,7 @@ class AskedScans:
         """For each text, by scan."""
         named = {scene: self.search.named(scan) for scene, scan in enumerate(self.scans) if scan.texts}
         texts = range(len(self.search.question.texts))
-        return [{scene: own for scene, of in named.items() if (own := of[text])} for text in texts]
+        return [{scene: name for scene, of in named.items() if (name := of[text])} for text in texts]
 
     @cached_property
     def _scores(self) -> dict[str, TextScore]:
@@ -137,9 +137,9 @@ class AskedScans:
         expression, verdicts = self.search.expression, self._verdicts
         targets = expression.leaves(True)
         if expression.is_plain:
-            yield math.inf, lambda: self.found(
+            yield math.inf, lambda: self.ranked_things(
                 [(scene, thing, str(text)) for scene in range(len(self.scans)) for text in targets
-                 if (own := verdicts[str(text)][scene]).presence for thing in own.things])  # fmt: skip
+                 if (verdict := verdicts[str(text)][scene]).presence for thing in verdict.things])  # fmt: skip
             return
         best: dict[int, float] = {}
         for target in targets:
@@ -148,30 +148,30 @@ class AskedScans:
             for scene, rank in enumerate(ranks):
                 if all(verdicts[text][scene].presence for text in needed):
                     best[scene] = max(rank, best.get(scene, -math.inf))
-        for scene, rank in sorted(best.items(), key=lambda each: -each[1]):
-            yield rank, lambda scene=scene: self.found(self._of_field(scene))
+        for scene, rank in sorted(best.items(), key=lambda item: -item[1]):
+            yield rank, lambda scene=scene: self.ranked_things(self._of_field(scene))
 
-    def found(self, answers: Sequence[tuple[int, int, str]]) -> list[Found]:
+    def ranked_things(self, answers: Sequence[tuple[int, int, str]]) -> list[Found]:
         """Return things, by scan, number and text, with scores and ranks, each for its first text."""
         first = {(scene, thing): text for scene, thing, text in reversed(answers)}
         ranked: dict[tuple[int, int], Found] = {}
         for text in dict.fromkeys(first.values()):
-            mine = [each for each, own in first.items() if own == text]
-            rows = [self.index.starts[scene] + thing for scene, thing in mine]
+            keys = [key for key, own_text in first.items() if own_text == text]
+            rows = [self.index.starts[scene] + thing for scene, thing in keys]
             fits = self._of_text(self._fits, text)[rows].tolist()
-            scores = self._scores[text].each(fits, *zip(*mine, strict=True))
+            scores = self._scores[text].each(fits, *zip(*keys, strict=True))
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
-            for each, score, rank in zip(mine, scores, ranks, strict=True):
-                ranked[each] = Found(*each, text, score, rank)
+            for key, score, rank in zip(keys, scores, ranks, strict=True):
+                ranked[key] = Found(*key, text, score, rank)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
-        return [ranked[each] for each in every if self.scans[each[0]].arrays["placed"][each[1]]]
+        return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]
 
     @cached_property
     def _leads(self) -> Tensor:
         return self.index.leads(self._fits)
 
     def _best_ranks(self, text: str) -> list[float]:
-        """Return a rank for each scan that none of its things has more than, for a text."""
+        """Return an upper bound of the ranks of the things of each scan, for a text."""
         usable = self.index.usable
         fits, leads = (
             np.maximum.reduceat(
@@ -182,7 +182,7 @@ class AskedScans:
         return rank_of(self._scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads))
 
     def _of_field(self, scene: int) -> list[tuple[int, int, str]]:
-        """The things that answer phrases, for which shapes are compared: the field itself is asked."""
+        """Ask the field itself for the things that answer phrases, which need shapes to be compared."""
         scan, search = self.scans[scene], self.search
         try:
             field = LanguageField.load(scan.field_path)
@@ -193,22 +193,22 @@ class AskedScans:
                 raise UnaskedScanError(f"{problem}; add it again")
             least = search.question.present_from
             question = make_question(field, search.encoder, search.expression, least is None, least)
-            found = things_of_question(field, question)
+            things = things_of_question(field, question)
         except MissingFileError as error:
-            part = "field" if error.path == scan.field_path else "splat"
-            problem = f"the {part} of scan {scan.name} is gone: {error.path}"
+            missing = "field" if error.path == scan.field_path else "splat"
+            problem = f"the {missing} of scan {scan.name} is gone: {error.path}"
             raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
-        return [(scene, thing.number, thing.text) for thing in found if thing.number is not None]
+        return [(scene, thing.number, thing.text) for thing in things if thing.number is not None]
 
 
 def look_alikes(index: ThingIndex, vector: Tensor, name: str, placed: Sequence[Tensor]) -> Iterator[Found]:
-    """Yield the things that look most like an image with a vector [D] of unit norm, best first; parts of one before,
-    and what it is a part of, are left out, and so are things that are not ``placed``, [T] boolean per scan. Score and
-    rank are the cosine with the image."""
+    """Yield the things that look most like an image with a vector [D] of unit norm, best first, without the parts and
+    wholes of one before, and without things that are not ``placed``, [T] boolean per scan. Score and rank are the
+    cosine with the image."""
     cosines = torch.where(index.usable, index.cosines(vector[None])[:, 0], -torch.inf)
     left, counts = (index.usable & torch.cat([*placed])).numpy(), index.counts.clamp(min=1).numpy()
     scenes = np.repeat(np.arange(len(index.vectors)), np.diff(index.starts)).tolist()
-    ends, others, shared = (part.numpy() for part in index.shares)
+    ends, others, shared = (tensor.numpy() for tensor in index.shares)
     values = cosines.tolist()
     for row in cosines.argsort(descending=True, stable=True).tolist():
         if left[row]:
@@ -220,7 +220,7 @@ def look_alikes(index: ThingIndex, vector: Tensor, name: str, placed: Sequence[T
 
 def _is_same(table: ThingTable, vectors: Tensor, names: NameTable | None) -> bool:
     """Return whether the things of a field have the names and embeddings of a scan."""
-    votes = [torch.zeros(0) if each is None else each.matrix(len(table)) for each in (table.names, names)]
+    votes = [torch.zeros(0) if known is None else known.matrix(len(table)) for known in (table.names, names)]
     return torch.equal(table.embeddings, vectors) and torch.equal(*votes)
 
 

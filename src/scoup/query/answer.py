@@ -136,20 +136,20 @@ class ExpressionAnswer(Answer):
     @property
     def heats(self) -> tuple[AskedText, ...]:
         """The wanted texts."""
-        return tuple(part.asked for part in self.parts if part.text in self.tree.wanted)
+        return tuple(answer.asked for answer in self.parts if answer.text in self.tree.wanted)
 
     def remark(self) -> str:
         """Return score and certainty in a few words, after the names of things that were not asked for by name, or by
         one of several; where nothing answers, what was found.
         """
         seen = f", as seen from {self.seen_from}" if self.seen_from else ""
-        if not self.presence and any(part.text != self.text for part in self.parts):
-            needed = (part for part in self.parts if part.text not in self.tree.excluded)
-            absent = [f"{part.text}: {part.remark()}" for part in needed if not part.presence]
-            found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts if part.presence)
-            found = f"found {found}, but none that is so{seen}" if found else "nothing found"
-            return "; ".join(absent) or found
-        texts = {part.text for part in self.parts} if len(self.tree.wanted) == 1 else set[str]()
+        if not self.presence and any(one.text != self.text for one in self.parts):
+            needed = (one for one in self.parts if one.text not in self.tree.excluded)
+            absent = [f"{one.text}: {one.remark()}" for one in needed if not one.presence]
+            counts = ", ".join(f"{one.text}: {len(one.things) or 1}" for one in self.parts if one.presence)
+            matched = f"found {counts}, but none that is so{seen}" if counts else "nothing found"
+            return "; ".join(absent) or matched
+        texts = {one.text for one in self.parts} if len(self.tree.wanted) == 1 else set[str]()
         named = Counter(
             thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
         )
@@ -163,8 +163,8 @@ class ExpressionAnswer(Answer):
 
 def answer_relevancy(field: Field, answer: Answer) -> Tensor:
     """Return the relevancy of every Gaussian of the field at the level of an answer, [N] float32 on the CPU."""
-    each = [field.gaussian_relevancy(asked.query, asked.canonical)[asked.level, 0] for asked in answer.heats]
-    return torch.stack(each).amax(0).cpu()
+    heats = [field.gaussian_relevancy(asked.query, asked.canonical)[asked.level, 0] for asked in answer.heats]
+    return torch.stack(heats).amax(0).cpu()
 
 
 def _rounded(score: float | None) -> float | None:

@@ -24,7 +24,7 @@ NPZ = "relevancy.npz"
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
 VIEWS_BESIDE = 4  # in a row, of one text
-WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, more or less
+WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, approximately
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
@@ -221,10 +221,10 @@ class AnswerSheets:
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
-    """The rows of the best answers, chosen by the texts in turn, in their order."""
+    """Return the rows of the best answers, chosen by the texts in turn, in their order."""
     left, columns = list(range(len(rows))), len(rows[0].cells)
     for turn in range(min(count, len(rows))):
-        # Of equals the first.
+        # The first of equals.
         left.remove(max(left, key=lambda number: rows[number].cells[turn % columns].coverage))
     return [row for number, row in enumerate(rows) if number not in left]
 

@@ -1,4 +1,4 @@
-"""The one rule: texts to answers of the scene."""
+"""The rule from texts to the answers of a scene."""
 
 from __future__ import annotations
 
@@ -60,5 +60,5 @@ def _by_votes(field: Field, question: Question[Any]) -> Iterator[Answer]:
 
 def sampled_votes(field: Field, question: Question[Any]) -> SampledVotes:
     """Return the votes of some Gaussians of a field for everyday words, from its cache."""
-    words = (each.cpu().numpy().tobytes() for each in (question.everyday, question.canonical))
+    words = (vectors.cpu().numpy().tobytes() for vectors in (question.everyday, question.canonical))
     return field.kept((SampledVotes, *words), lambda: SampledVotes(field, question))

@@ -51,12 +51,12 @@ def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:
 
 def things_of_question(field: Field, question: Question[Any]) -> list[Thing]:
     """Return the things that a question singles out, each once, best first."""
-    return _once(thing for each in answers_of(field, question) for thing in things_of_answer(field, each))
+    return _once(thing for answer in answers_of(field, question) for thing in things_of_answer(field, answer))
 
 
 @dataclass(frozen=True, eq=False)
 class _Selected:
-    """What a part of an expression selects."""
+    """The selection of a part of an expression."""
 
     mask: Tensor  # [N] boolean
     things: tuple[Thing, ...] = ()  # that may answer
@@ -77,7 +77,7 @@ class _Selected:
 def evaluated(
     field: Field, question: Question[Any], said: str, tree: Expression, answers: Mapping[str, Answer]
 ) -> ExpressionAnswer:
-    """Return the answer to an expression from those to its texts: its leaves become things, its operators join them.
+    """Return the answer to an expression from the answers to its texts: leaves become things, operators join them.
 
     Args:
         field: that was asked.
@@ -89,7 +89,7 @@ def evaluated(
     frame = (question.frame or scene_frame(field)) if tree.phrases else None
     parts = [answers[text] for text in tree.texts]
     ranked = sorted(
-        (answers[text] for text in tree.wanted), key=lambda each: (each.presence, each.score or 0.0), reverse=True
+        (answers[text] for text in tree.wanted), key=lambda one: (one.presence, one.score or 0.0), reverse=True
     )  # fmt: skip
     best, by_things, wanted = ranked[0], parts[0].threshold is None, tree.leaves(True)
     of_texts = _things_of_texts(field, question, parts) if by_things or frame is not None else {}
@@ -97,27 +97,27 @@ def evaluated(
     def of_leaf(leaf: str | Phrase) -> _Selected:
         things: list[Thing] = []
         if of_texts:
-            # At a level of choice, parts are of other levels.
-            own = of_texts if question.level is not None else apart(field, question, leaf, of_texts)
-            things = resolve(field, leaf, own, frame)
+            # Parts are of other levels than the one that was asked for.
+            by_text = of_texts if question.level is not None else apart(field, question, leaf, of_texts)
+            things = resolve(field, leaf, by_text, frame)
         mask = answers[leaf].mask if isinstance(leaf, str) else _union(things, len(field))
         return _Selected(mask, tuple(things))
 
     selected = tree.fold(of_leaf, _Selected.negated, _Selected.joined)
-    mask, found = selected.mask, [] if isinstance(tree.root, Operation) else list(selected.things)
+    mask, matches = selected.mask, [] if isinstance(tree.root, Operation) else list(selected.things)
     if by_things:
         candidates = _once(selected.things if wanted else of_texts[""])
-        found = [thing for thing in candidates if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
+        matches = [thing for thing in candidates if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
     presence = best.presence
     if not tree.is_plain:
-        presence = bool(found) if by_things and wanted else bool(mask.any())
-    numbers = {thing.number: thing.score for thing in found if thing.number is not None}
+        presence = bool(matches) if by_things and wanted else bool(mask.any())
+    numbers = {thing.number: thing.score for thing in matches if thing.number is not None}
     without = {thing.number for thing in selected.excluded if thing.number is not None}
     return ExpressionAnswer(
         text=said,
         mask=mask if presence or tree.is_plain else torch.zeros_like(mask),
-        level=found[0].level if found and frame is not None else best.level,
-        score=best.score if wanted else None,  # nobody asked for what stands under "not" alone
+        level=matches[0].level if matches and frame is not None else best.level,
+        score=best.score if wanted else None,  # texts under "not" alone have no score
         asked=best.asked,
         presence=presence,
         things=tuple(numbers),
@@ -126,9 +126,9 @@ def evaluated(
         threshold=best.threshold,
         tree=tree,
         parts=tuple(parts),
-        found=tuple(found),
+        found=tuple(matches),
         without=tuple(sorted(without - numbers.keys())),
-        seen_from=frame.seen_from if frame and any(each.is_seen for each in tree.phrases) else "",
+        seen_from=frame.seen_from if frame and any(phrase.is_seen for phrase in tree.phrases) else "",
     )
 
 
@@ -144,12 +144,12 @@ def _things_of_texts(
 def apart(
     field: Field, question: Question[Any], leaf: str | Phrase, of_texts: Mapping[str, list[Thing]]
 ) -> Mapping[str, list[Thing]]:
-    """Return the things of each text, of which none answers two texts of a phrase, as a plate with a doughnut may.
+    """Return the things of each text, none of them for two texts of a phrase, as a plate with a doughnut may be.
 
     Where one is, or contains, a thing that answers another text, the parts that fit each text best replace them, if
     they are two things.
     """
-    found = dict(of_texts)
+    by_text = dict(of_texts)
     for texts in combinations(dict.fromkeys(texts_of(leaf)), 2):
         for pair in product(*(of_texts[text] for text in texts)):
             if not _nested(field, *pair):
@@ -157,8 +157,8 @@ def apart(
             parts = [best_part(field, question, text, thing) for text, thing in zip(texts, pair, strict=True)]
             if not overlaps(*parts):
                 for text, thing, part in zip(texts, pair, parts, strict=True):
-                    found[text] = [part if each.number == thing.number else each for each in found[text]]
-    return found
+                    by_text[text] = [part if one.number == thing.number else one for one in by_text[text]]
+    return by_text
 
 
 def _nested(field: Field, one: Thing, other: Thing) -> bool:
@@ -178,7 +178,6 @@ def _union(things: Iterable[Thing], count: int) -> Tensor:
 
 
 def _once(things: Iterable[Thing]) -> list[Thing]:
-    """Return things, each once."""
     first: dict[int, Thing] = {}
     for thing in things:
         first.setdefault(id(thing) if thing.number is None else thing.number, thing)

@@ -1,4 +1,4 @@
-"""Where things are and how large: positions, boxes and spans of many at once, from the Gaussians of each."""
+"""Positions, boxes and spans of many things at once, from the Gaussians of each."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class OrientedBox:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the box as plain JSON values, rounded."""
-        axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
+        axes = [[round(value, 6) for value in row] for row in self.axes.tolist()]
         return {
             "centre": rounded_vector(self.centre.tolist()),
             "axes": axes,
@@ -69,15 +69,15 @@ class PointSets:
         chosen = gaussians.select(rows.to(gaussians.device)).to("cpu")
         means = chosen.means.double().numpy()
         weights = chosen.opacities.double().clamp(0, 1).numpy()
-        starts = np.concatenate([[0], np.cumsum([len(each) for each in members])]).astype(np.int64)
+        starts = np.concatenate([[0], np.cumsum([len(numbers) for numbers in members])]).astype(np.int64)
         weights = np.where(np.isfinite(means).all(1) & np.isfinite(weights), weights, 0.0)
         means = np.where(weights[:, None] > 0, means, 0.0)
         every = cls(means, weights, starts)
         distance = np.linalg.norm(means - every.medians()[every.owners], axis=1)
         usual = cls(distance[:, None], weights, starts).quantiles([0.5])[:, 0, 0]
         near = (distance <= constants.FARTHEST * usual[every.owners]) & (weights > 0)
-        kept = np.concatenate([[0], np.cumsum(near)])[starts]
-        return cls(means[near], weights[near], kept)
+        near_starts = np.concatenate([[0], np.cumsum(near)])[starts]
+        return cls(means[near], weights[near], near_starts)
 
     @classmethod
     def of_one_thing(cls, points: Tensor, weights: Tensor) -> PointSets:
@@ -93,7 +93,7 @@ class PointSets:
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
     def of_one(self, number: int) -> Array:
-        """Means of one thing."""
+        """Return the means of one thing."""
         return self.means[self.starts[number] : self.starts[number + 1]]
 
     def medians(self) -> Array:
@@ -171,8 +171,8 @@ class PointSets:
     def sample(self, most: int) -> PointSets:
         """Return every n-th Gaussian of each thing, about ``most`` of each."""
         counts = np.diff(self.starts)
-        place = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
-        some = place % np.repeat(np.maximum(1, counts // most), counts) == 0
+        position = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
+        some = position % np.repeat(np.maximum(1, counts // most), counts) == 0
         return PointSets(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
 
     def sums(self, values: Array) -> Array:
@@ -206,7 +206,7 @@ def _quantiles(
     sums = np.zeros((len(firsts), BINS + 1))  # of all bins before
     sums[:, 1:] = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
     quantiles = np.empty((len(firsts), len(shares)))
-    for place, share in enumerate(shares):
+    for column, share in enumerate(shares):
         wanted = share * sums[:, -1]
         chosen = (sums[:, 1:-1] < wanted[:, None]).sum(1)
         below = sums[np.arange(len(firsts)), chosen]
@@ -215,5 +215,5 @@ def _quantiles(
         starts = np.searchsorted(rows[members], np.arange(len(firsts) + 1))
         within = np.concatenate([[0.0], np.cumsum(weights[members])])
         at = np.searchsorted(within[1:], within[starts[:-1]] + wanted - below)
-        quantiles[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
+        quantiles[:, column] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
     return quantiles

@@ -1,4 +1,4 @@
-"""A catalogue of a scene: every thing with a name, place and box, and how things stand to each other."""
+"""A catalogue of a scene: every thing with a name, place and box, and the relations between things."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def save_catalog(
 
 
 def _disarmed(cell: Any) -> Any:
-    """The cell of a table, which no spreadsheet takes for a formula: of text only, numbers may be negative."""
+    """Return a cell that no spreadsheet reads as a formula; only texts are changed, as numbers may be negative."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULAS) else cell
 
 
@@ -89,10 +89,10 @@ def draw_things(
     """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
     own."""
     seen = [(thing, viewing_cameras(thing, cameras)) for thing in things if cameras]
-    seen.sort(key=lambda each: each[1][0].name if each[1] else "")  # so that each camera is rendered once
+    seen.sort(key=lambda pair: pair[1][0].name if pair[1] else "")  # so that each camera is rendered once
     view, colors = None, np.zeros((0, 0, 3), np.uint8)
-    for thing, own in seen:
-        for camera in own:
+    for thing, viewers in seen:
+        for camera in viewers:
             if view is None or view.camera is not camera:
                 view = FieldView(field, camera)
                 colors = as_picture(view.renders.colors().cpu())
@@ -105,14 +105,14 @@ def draw_things(
 def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
     """Return the camera that sees a thing largest, if any sees it, and one of its own, which looks at it from the side
     of the nearest camera, and from so near that it fills half; none of its own for a thing around that camera."""
-    found = _best_view(thing, cameras)
-    near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
+    chosen = _best_view(thing, cameras)
+    near = min(cameras, key=lambda camera: float((camera.position - thing.position).norm()))
     ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
     eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
     with suppress(InputError):
         size = (near.width, near.height)
-        found.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))
-    return found
+        chosen.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))
+    return chosen
 
 
 def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
@@ -153,8 +153,8 @@ def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:
 
 def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | None = None) -> Picture:
     """Return a window of a picture, small, with the mask [H, W] drawn over it."""
-    part = colors[window] if mask is None else mask_overlay(mask.numpy()[window], colors[window])
-    picture = Image.fromarray(np.ascontiguousarray(part))
+    crop = colors[window] if mask is None else mask_overlay(mask.numpy()[window], colors[window])
+    picture = Image.fromarray(np.ascontiguousarray(crop))
     picture.thumbnail((SIDE, SIDE))
     return np.asarray(picture)
 
@@ -211,7 +211,7 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
         parts.setdefault(thing.parent, set()).add(thing.text)
     objects = frozenset(catalog.objects)
     cards: tuple[list[Card], list[Card]] = [], []
-    ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
+    ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda pair: -(pair[0].score or 0))
     for thing, names in ordered:
         related = [f"thing {thing.number}"]
         if inside := parts.get(thing.number, set()) - {"", thing.text}:

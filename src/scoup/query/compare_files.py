@@ -81,7 +81,7 @@ def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float |
     facts = (
         f"{change.kind}{far}, confidence {change.confidence:.2f}",
         in_words(thing.box.extent.tolist(), unit),
-        ", ".join(f"thing {each.number} of the {side} capture" for side, each, _ in there),
+        ", ".join(f"thing {thing.number} of the {side} capture" for side, thing, _ in there),
     )
     return Card(thing, change.confidence, facts, dict(sorted(pictures.items(), reverse=True)))
 
@@ -92,7 +92,7 @@ def _pictures(
     """Yield the object before and after; where it is not there, its place from the same camera."""
     transform = comparison.transform
     sides = (old, change.old, new, np.linalg.inv(transform)), (new, change.new, old, transform)
-    for place, (field, thing, other, to_other) in enumerate(sides):
+    for index, (field, thing, other, to_other) in enumerate(sides):
         if thing is None:
             continue
         for camera in viewing_cameras(thing, list(field.cameras or ())):
@@ -101,10 +101,10 @@ def _pictures(
             window = crop_window(mask)
             if window is None:
                 continue
-            yield SIDES[place], cropped(as_picture(view.renders.colors().cpu()), window, mask)
+            yield SIDES[index], cropped(as_picture(view.renders.colors().cpu()), window, mask)
             if change.kind != "moved":
                 again = FieldView(other, _moved_camera(camera, to_other))
-                yield SIDES[1 - place], cropped(as_picture(again.renders.colors().cpu()), window)
+                yield SIDES[1 - index], cropped(as_picture(again.renders.colors().cpu()), window)
             break
 
 

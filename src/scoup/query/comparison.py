@@ -1,4 +1,4 @@
-"""What differs between two captures of one place: objects that were added, removed or moved.
+"""Differences between two captures of one place: objects that were added, removed or moved.
 
 Two builds cut one place into things differently, so a thing of one capture is not compared with things of the other,
 but with its Gaussians: it is still there if its own lie on Gaussians whose things look like it. Things that are not
@@ -82,16 +82,16 @@ class Comparison:
         """
         changes = []
         for change in self.changes:
-            found: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
+            record: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
             if change.distance is not None:
-                found["distance"] = round(change.distance, 6)
+                record["distance"] = round(change.distance, 6)
                 if metres_per_unit is not None:
-                    found["distance_metres"] = round(change.distance * metres_per_unit, 6)
+                    record["distance_metres"] = round(change.distance * metres_per_unit, 6)
             for side, thing, unit in zip(
                 ("old", "new"), (change.old, change.new), self.lengths(metres_per_unit), strict=True
             ):
-                found[side] = thing and thing.to_dict(unit)
-            changes.append(found)
+                record[side] = thing and thing.to_dict(unit)
+            changes.append(record)
         return {
             "format": SCHEMA,
             "version": 1,
@@ -103,7 +103,7 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class _Capture:
-    """A capture, whose things are looked for in the other one."""
+    """A capture whose things are searched for in the other."""
 
     field: Field
     things: list[Thing]  # with their names
@@ -181,10 +181,10 @@ def compare(
     named = [named_things(field, field.naming_question(words)) for field in (old, new)]
     both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
-    centre = np.concatenate([each.embeddings for each in both]).mean(0)
+    centre = np.concatenate([capture.embeddings for capture in both]).mean(0)
     gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
     changes = sorted(
-        _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
+        _changes(gone, come, matrix), key=lambda change: (KINDS.index(change.kind), -change.confidence)
     )
     counts = len(find_objects(old, named[0])), len(find_objects(new, named[1]))
     if len(gone) + len(come) > constants.MOST_CHANGES * sum(counts):
@@ -229,15 +229,15 @@ def _check_frames(old: _Capture, new: _Capture) -> None:
 class _Missing:
     """An object that is not there in the other capture."""
 
-    things: list[Thing]  # it and its parts, as levels cut it; the largest first
+    things: list[Thing]  # it and its parts at all levels, largest first
     looks: Array  # [T, D] of each
-    absent: float  # share of the first that is not there
+    absent: float  # share of the first that is missing
     seen: float  # share of its place that the other capture saw
 
     def change(self, kind: Literal["added", "removed"]) -> Change:
         """Return it as a change by itself, preferably a named thing."""
         most = [thing for thing in self.things if 2 * thing.n_gaussians >= self.things[0].n_gaussians]
-        thing = next((each for each in most if each.text), self.things[0])
+        thing = next((thing for thing in most if thing.text), self.things[0])
         old, new = (thing, None) if kind == "removed" else (None, thing)
         if self.seen < constants.SEEN:
             return Change("unseen", old, new, None, self.absent * (1 - self.seen))
@@ -245,30 +245,30 @@ class _Missing:
 
 
 def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
-    """Return what is not there in the other capture; things in the box of a larger one belong to it."""
+    """Return the objects missing from the other capture; things in the box of a larger one belong to it."""
     if not one.things:
         return []
     absent, things = 1 - _present(one, other, centre), one.things
     together: dict[int, list[int]] = {}
     gone = np.flatnonzero(absent >= constants.GONE).tolist()
-    for place in sorted(gone, key=lambda place: -things[place].n_gaussians):
-        around = (first for first in together if things[first].box.contains(things[place].position))
-        together.setdefault(next(around, place), []).append(place)
+    for index in sorted(gone, key=lambda index: -things[index].n_gaussians):
+        around = (first for first in together if things[first].box.contains(things[index].position))
+        together.setdefault(next(around, index), []).append(index)
     together = {
-        first: places
-        for first, places in together.items()
-        if sum(things[place].n_regions or 0 for place in places) >= constants.GONE_REGIONS
+        first: indices
+        for first, indices in together.items()
+        if sum(things[index].n_regions or 0 for index in indices) >= constants.GONE_REGIONS
     }
     seen = _seen(one, other, np.isin(one.points.owners, [*together]))
     looks = _looks(one.embeddings, centre)
     return [
         _Missing(
-            [things[place] for place in places],
-            looks[[things[place].number or 0 for place in places]],
+            [things[index] for index in indices],
+            looks[[things[index].number or 0 for index in indices]],
             float(absent[first]),
             float(seen[first]),
         )
-        for first, places in together.items()
+        for first, indices in together.items()
     ]
 
 
@@ -279,7 +279,7 @@ def _looks(embeddings: Array, centre: Array) -> Array:
 
 
 def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
-    """Return the share of each thing [T] that lies on what looks like it in the other capture."""
+    """Return the share of each thing [T] that lies on things like it in the other capture."""
     numbers = np.array([thing.number for thing in one.things], np.int64)
     cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
     alike = np.pad(
@@ -287,12 +287,12 @@ def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
     )  # last: NO_THING
     points, table = one.points, other.field.thing_table
     assert table is not None
-    found = other.tree.query(one.places, k=min(constants.NEAREST, len(other.solid)))
-    distances, near = (np.asarray(part).reshape(len(points.means), -1) for part in found)
+    nearest = other.tree.query(one.places, k=min(constants.NEAREST, len(other.solid)))
+    distances, near = (np.asarray(array).reshape(len(points.means), -1) for array in nearest)
     owners = table.owners.cpu().numpy()[other.solid[near]]  # [M, k, S]
-    found = alike[points.owners[:, None, None], owners].max(2)
-    found = np.where((owners == NO_THING).all(2), 1.0, found)  # what is of no thing may be anything
-    on = np.where(distances <= one.reach[:, None], found, 0.0).max(1)
+    likeness = alike[points.owners[:, None, None], owners].max(2)
+    likeness = np.where((owners == NO_THING).all(2), 1.0, likeness)  # Gaussians of no thing may match any
+    on = np.where(distances <= one.reach[:, None], likeness, 0.0).max(1)
     return points.sums(points.weights * on) / points.sums(points.weights).clip(1e-12)
 
 
@@ -306,7 +306,7 @@ def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
     seen = np.zeros(len(places), bool)
     for camera in other.field.cameras or ():
         small = camera.scaled(min(1.0, constants.DEPTH_SIDE / max(camera.width, camera.height)))
-        pixels, depths = (each.numpy() for each in small.pixels(places))
+        pixels, depths = (tensor.numpy() for tensor in small.pixels(places))
         inside = small.shows(places).numpy() & ~seen
         if inside.any():
             depth = render_depth(other.field.project(small), other.field.gaussians, small).numpy()
@@ -318,12 +318,12 @@ def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
 
 
 def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) -> list[Change]:
-    """Return what moved, one to one, and all others by themselves."""
+    """Return the objects that moved, matched one to one, and all others by themselves."""
     from scipy.optimize import linear_sum_assignment
 
     scale, cosines, best = scale_of(matrix), np.zeros((len(gone), len(come))), {}
     for (one, old), (other, new) in product(enumerate(gone), enumerate(come)):
-        growth = scale * np.array([each.size for each in new.things]) / [[each.size] for each in old.things]
+        growth = scale * np.array([t.size for t in new.things]) / [[t.size] for t in old.things]
         fit = np.where(
             (growth <= constants.RESIZED) & (growth >= 1 / constants.RESIZED), old.looks @ new.looks.T, 0
         )
@@ -334,14 +334,14 @@ def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) 
     pairs = [
         pair for pair in zip(*linear_sum_assignment(cosines, maximize=True), strict=True) if pair in best
     ]
-    found = []
+    changes = []
     for pair in pairs:
         old, new = best[pair]
-        place = moved_points(new.position.numpy(), matrix)
-        distance = float(np.linalg.norm(place - old.position.numpy()))
+        position = moved_points(new.position.numpy(), matrix)
+        distance = float(np.linalg.norm(position - old.position.numpy()))
         if distance > constants.STILL * old.size:
-            sure = max(each.absent * each.seen for each in (gone[pair[0]], come[pair[1]]))
-            found.append(Change("moved", old, new, distance, float(cosines[pair]) * sure))
+            sure = max(missing.absent * missing.seen for missing in (gone[pair[0]], come[pair[1]]))
+            changes.append(Change("moved", old, new, distance, float(cosines[pair]) * sure))
     paired = [{pair[side] for pair in pairs} for side in (0, 1)]
-    found += [each.change("removed") for place, each in enumerate(gone) if place not in paired[0]]
-    return found + [each.change("added") for place, each in enumerate(come) if place not in paired[1]]
+    changes += [missing.change("removed") for index, missing in enumerate(gone) if index not in paired[0]]
+    return changes + [missing.change("added") for index, missing in enumerate(come) if index not in paired[1]]

@@ -55,7 +55,7 @@ ALL_THINGS = 0.2
 LARGE = 0.05
 """Share of a picture's longest side; a thing of this radius is seen as well as any larger one."""
 
-# Which name a thing has, and which things are objects (docs/things.md).
+# Names of things, and the choice of objects (docs/things.md).
 NAMES = 3
 """Names kept per thing: the best and the next best ones."""
 COMMON_THINGS, COMMON_SHARE = 10, 0.5

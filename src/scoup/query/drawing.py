@@ -47,7 +47,7 @@ SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
 def color_drawing(plain: bool = False) -> Draw:
-    """Return what draws the splat; ``plain``, here and below: without title and legend."""
+    """Return a function that draws the splat; ``plain``, here and below: without title and legend."""
 
     def draw(view: FieldView) -> Picture:
         picture = as_picture(view.renders.colors())
@@ -57,7 +57,7 @@ def color_drawing(plain: bool = False) -> Draw:
 
 
 def relevancy_drawing(field: Field, question: Question, plain: bool = False) -> Draw:
-    """Return what draws a heat map of the relevancy to the first text of a question, at the level of its mask."""
+    """Return a function that draws the relevancy to a question's first text as a heat map, at the level of its mask."""
     answers = answers_of(field, question)
 
     def draw(view: FieldView) -> Picture:
@@ -77,7 +77,7 @@ def placed_atoms(atoms: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _CodeColors:
-    """How the codes of one level become colours: the same in every view, for they come from the Gaussians."""
+    """A mapping from the codes of one level to colours, the same in every view as it is made from the Gaussians."""
 
     gaussians: Tensor  # [N, axes], the places of their atoms, weighted
     basis: tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -85,7 +85,7 @@ class _CodeColors:
 
 
 def code_drawing(field: Field, level: str | int, plain: bool = False) -> Draw:
-    """Return what draws the codes of one level as colours: the same code has the same colour in every view.
+    """Return a function that draws the codes of one level as colours, which are the same in every view.
 
     The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
     """
@@ -185,7 +185,7 @@ def field_card(field: Field) -> str:
 
 
 def _preview(field: Field) -> Picture | None:
-    """The codes of the middle level in the first camera; None without a camera or geometry."""
+    """Return the codes of the middle level in the first camera; None without a camera or geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None
     try:

@@ -44,7 +44,7 @@ def edited(
         color: of "recolor": red, green and blue, 0 to 1.
         opacity: of "fade": factor, 0 to 1.
     """
-    if not 0 <= opacity <= 1 or not all(0 <= part <= 1 for part in color):
+    if not 0 <= opacity <= 1 or not all(0 <= value <= 1 for value in color):
         raise InputError(f"opacity and colour must be 0 to 1, got {opacity} and {list(color)}")
     mask = mask.to(gaussians.device)
     if edit in ("keep", "remove"):
@@ -60,7 +60,7 @@ def edited(
 
 
 def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
-    """A colour with the lightness of colours [M, 3] relative to their median."""
+    """Return a colour with the lightness of colours [M, 3] relative to their median."""
     lightness = rgb.clamp(0, 1).mean(1)
     usual = lightness.median().clamp(min=0.05) if len(lightness) else lightness.new_ones(())
     share = (lightness / usual).clamp(0.25, 1.75)[:, None]
@@ -111,9 +111,9 @@ class SplatTable:
             path = None if path is None else splat_source(path).path
             if path is not None and path.suffix.lower() == ".ply":
                 table = read_ply_table(path)
-                gaussians, kept = gaussians_from_table(table)
+                gaussians, is_gaussian = gaussians_from_table(table)
                 if gaussians.fingerprint() == field.fingerprint:
-                    return cls(table, torch.from_numpy(kept))
+                    return cls(table, torch.from_numpy(is_gaussian))
         except InputError:
             pass  # compressed, so its rows cannot be copied; or missing, and the field has its geometry embedded
         return cls(table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))

@@ -74,7 +74,7 @@ class Expression:
     @property
     def wants_everything(self) -> bool:
         """Return whether it is about things that it does not name, as in "what is on the table" and "not mug"."""
-        unnamed = any(not part.text for phrase in self.phrases for part in phrase.parts)
+        unnamed = any(not inner.text for phrase in self.phrases for inner in phrase.parts)
         return unnamed or not self.leaves(True)
 
     def leaves(self, wanted: bool | None = None) -> tuple[str | Phrase, ...]:
@@ -108,7 +108,7 @@ class Expression:
         def value(node: Node) -> Value:
             if not isinstance(node, Operation):
                 return leaf(node)
-            values = [value(part) for part in node.parts]
+            values = [value(child) for child in node.parts]
             if node.operator == "not":
                 return negate(values[0])
             return reduce(lambda one, other: join(node.operator, one, other), values)
@@ -145,16 +145,16 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
         if not text:
             raise InputError(f"a text is blank; {_GRAMMAR}")
         if text.casefold() in known:
-            part = ["(", f"={protected(text)}", ")"]
+            group = ["(", f"={protected(text)}", ")"]
         elif text.lower() in OPERATORS:
-            part = [text.lower()]
+            group = [text.lower()]
         else:
             pieces = text.removesuffix("?").split('"')
             pieces[::2] = [kept_whole.sub(r'"\g<0>"', piece) for piece in pieces[::2]]
-            part = ["(", *_tokens('"'.join(pieces)), ")"]
-        if tokens and tokens[-1] == ")" and part[0] == "(":
+            group = ["(", *_tokens('"'.join(pieces)), ")"]
+        if tokens and tokens[-1] == ")" and group[0] == "(":
             tokens.append("or")
-        tokens += part
+        tokens += group
     reader = _Reader(tokens, " ".join(given))
     root = reader.union()
     if reader.rest:
@@ -164,7 +164,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
 
 @lru_cache(maxsize=4)
 def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
-    """Return names without case, and a pattern of those that may be read as phrases or expressions, longest first."""
+    """Return the case-folded names, and a pattern for names that look like phrases or expressions, longest first."""
     parts = {tuple(map(re.escape, name.split())) for name in names if RESERVED & {*name.lower().split()}}
     forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
     pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s),;.])" if forms else r"(?!)"
@@ -172,7 +172,7 @@ def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
 
 
 def _tokens(text: str) -> list[str]:
-    """Operators as they are, and texts after a mark, `=`, that tells them from operators."""
+    """Return operators as they are, and texts after a prefix, `=`, that marks them as texts."""
     tokens: list[str] = []
     if text.count('"') % 2:
         raise InputError(f"{text}: a double quote is not closed; {_GRAMMAR}")
@@ -284,8 +284,8 @@ def _signed(node: Node, sign: bool) -> Iterator[tuple[str | Phrase, bool]]:
     if not isinstance(node, Operation):
         yield node, sign
         return
-    for part in node.parts:
-        yield from _signed(part, sign != (node.operator == "not"))
+    for child in node.parts:
+        yield from _signed(child, sign != (node.operator == "not"))
 
 
 def _noun_of(node: Node) -> str:
@@ -298,7 +298,7 @@ def _noun_of(node: Node) -> str:
 def _operators(node: Node) -> list[str]:
     if not isinstance(node, Operation):
         return []
-    return [node.operator, *(operator for part in node.parts for operator in _operators(part))]
+    return [node.operator, *(operator for child in node.parts for operator in _operators(child))]
 
 
 def _text_of(node: Node, outer: str = "") -> str:
@@ -308,9 +308,9 @@ def _text_of(node: Node, outer: str = "") -> str:
         return quoted(node)
     if node.operator == "not":
         return f"not {_text_of(node.parts[0], 'not')}"
-    texts = [_text_of(part, node.operator) for part in node.parts]
+    texts = [_text_of(child, node.operator) for child in node.parts]
     if node.of_one:
-        texts[1:] = [_relation_of(part) for part in node.parts[1:]]
+        texts[1:] = [_relation_of(child) for child in node.parts[1:]]
     text = f" {node.operator} ".join(texts)
     return f"({text})" if outer not in ("", node.operator) else text
 

@@ -79,14 +79,14 @@ class FieldView:
         places: list[int] = []
         for number in present:
             whole = counting_gaussians(self.field, answers[number])
-            # Those of most answers are the same, and are rendered once.
-            places.append(next((k for k, each in enumerate(wholes) if torch.equal(each, whole)), len(wholes)))
+            # Most answers have the same ones, which are rendered once.
+            places.append(next((k for k, one in enumerate(wholes) if torch.equal(one, whole)), len(wholes)))
             if places[-1] == len(wholes):
                 wholes.append(whole)
         values = torch.stack([*wholes, *(answers[number].mask for number in present)], 1)
         image = raster.render_values(self.projection, values.float().to(self.field.codebook.device)).cpu()
-        for column, (number, place) in enumerate(zip(present, places, strict=True), start=len(wholes)):
-            masks[number] = image[..., column] > constants.PIXEL_SHARE * image[..., place]
+        for column, (number, whole_column) in enumerate(zip(present, places, strict=True), start=len(wholes)):
+            masks[number] = image[..., column] > constants.PIXEL_SHARE * image[..., whole_column]
         return masks
 
     def relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
@@ -109,7 +109,7 @@ class FieldView:
         return render_codes(self.projection, self.field.codes)
 
     def shares(self, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what the Gaussians [N] boolean of a mask contribute to each pixel, and alpha, [H, W] each."""
+        """Return the contribution of the Gaussians in a mask [N] boolean to each pixel, and alpha, [H, W] each."""
         members = mask.float()[:, None].to(self.field.codebook.device)
         image, alpha = raster.render_channels(self.projection, members)
         return image[..., 0], alpha
@@ -124,21 +124,21 @@ class FieldView:
         for canonical in {id(one.canonical): one.canonical for one in asked}.values():
             numbers = [number for number, one in enumerate(asked) if one.canonical is canonical]
             maps = self.relevancy(torch.cat([asked[number].query for number in numbers]), canonical)
-            for place, number in enumerate(numbers):
+            for row, number in enumerate(numbers):
                 # A copy, so that the other levels can be freed.
-                heats[number] = maps[asked[number].level, place].clone().cpu()
+                heats[number] = maps[asked[number].level, row].clone().cpu()
         return heats
 
 
 def counting_gaussians(field: Field, answer: Answer) -> Tensor:
     """Return the Gaussians [N] boolean whose contributions an answer must exceed half of.
 
-    They are those that belong to any thing of its level, or where the votes answer, that have a code there.
+    These belong to any thing of its level or, where the votes answer, have a code there.
     """
     counting = answer.mask.clone()
-    for part in answer.parts if isinstance(answer, ExpressionAnswer) else (answer,):
-        level = field.level_index(part.level)
-        if field.thing_table is None or part.threshold is not None:
+    for one in answer.parts if isinstance(answer, ExpressionAnswer) else (answer,):
+        level = field.level_index(one.level)
+        if field.thing_table is None or one.threshold is not None:
             counting |= field.coded_levels()[level].cpu()
         else:
             counting |= field.thing_table.owned[level].cpu()

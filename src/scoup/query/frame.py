@@ -1,4 +1,4 @@
-"""Directions of a scene: what is up, and what is left and in front of something as seen from a camera."""
+"""Directions of a scene: up, and left and front as seen from a camera."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Frame:
 
     def describe(self) -> str:
         """Return the directions in words, for people."""
-        up = ", ".join(f"{part:g}" for part in rounded_vector(self.axes[1].tolist()))
+        up = ", ".join(f"{value:g}" for value in rounded_vector(self.axes[1].tolist()))
         seen = f"left, right, front and back as seen from {self.seen_from}; " if self.seen_from else ""
         return f"{seen}up is [{up}], {self.up_source}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The frame as plain JSON values, rounded."""
+        """Return the frame as plain JSON values, rounded."""
         right, up, away = (rounded_vector(axis) for axis in self.axes.tolist())
         return {
             "seen_from": self.seen_from,
@@ -89,7 +89,7 @@ def _made_frame(field: Field, camera: Camera | str | int | None, up: Sequence[fl
 
 
 def _widest(field: Field, cameras: Sequence[Camera]) -> Camera | None:
-    """The camera with the largest share of the Gaussians in its image; of several the first."""
+    """Return the camera with the largest share of the Gaussians in its image; of several the first."""
     if not cameras:
         return None
     means = field.gaussians.means[:: max(1, len(field) // 20_000)]

@@ -1,4 +1,4 @@
-"""Which of several words fits each Gaussian, in the scene and in views."""
+"""The word of several that fits each Gaussian best, in the scene and in views."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def labels_of(field: Field, answers: Sequence[Answer]) -> GaussianLabels:
     for number, answer in enumerate(answers):
         if answer.things and field.thing_table is not None:
             owners = field.thing_table.owners.cpu()
-            mine = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
-            instances = torch.where(ids == number, torch.where(mine, owners, NO_THING).amax(1), instances)
+            inside = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
+            instances = torch.where(ids == number, torch.where(inside, owners, NO_THING).amax(1), instances)
     return GaussianLabels(
         ids,
         names,
@@ -131,7 +131,7 @@ def labels_of(field: Field, answers: Sequence[Answer]) -> GaussianLabels:
 def labels_of_answers(answers: Sequence[Answer], levels: Sequence[str]) -> Tensor:
     """Return the number of the word of each Gaussian, [N] int32, ``NONE`` for none."""
     ids = torch.full((len(answers[0].mask),), NONE, dtype=torch.int32)
-    # The word that counts comes last and overwrites the others; of equals the first word counts.
+    # The best word comes last and overwrites the others; of equals the first word wins.
     order = sorted(
         range(len(answers)),
         key=lambda number: (-levels.index(answers[number].level), answers[number].score or 0.0, -number),
@@ -150,10 +150,10 @@ def label_map(view: FieldView, labels: GaussianLabels) -> Tensor:
     shape = view.camera.height, view.camera.width
     most, painted = torch.full(shape, -1.0, device=ids.device), torch.zeros(shape, device=ids.device)
     given = torch.full(shape, NONE, device=ids.device, dtype=ids.dtype)
-    for part in numbers.split(AT_A_TIME):
-        image, painted = raster.render_channels(view.projection, (ids[:, None] == part).float())
+    for batch in numbers.split(AT_A_TIME):
+        image, painted = raster.render_channels(view.projection, (ids[:, None] == batch).float())
         largest, places = image.max(2)
-        given = torch.where(largest > most, part[places], given)
+        given = torch.where(largest > most, batch[places], given)
         most = torch.maximum(largest, most)
     return torch.where(painted >= LEAST_ALPHA, given, NONE).int().cpu()
 

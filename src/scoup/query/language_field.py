@@ -204,7 +204,7 @@ class LanguageField(Field):
             "question", frame=(frame, (Frame, type(None))), level=(level, (str, Integral, type(None)))
         )
         if isinstance(texts, Question):
-            if always or any(each is not None for each in (present_from, threshold, level, frame)):
+            if always or any(option is not None for option in (present_from, threshold, level, frame)):
                 raise InputError("a question has its options; pass them when it is made, or its texts here")
             if texts.queries.shape[1] != self.dim:
                 raise InputError(
@@ -220,7 +220,7 @@ class LanguageField(Field):
     @overload
     def answer(self, question: Several | Question[Several]) -> list[Answer]: ...
     def answer(self, question: str | Several | Question[Any]) -> Answer | list[Answer]:
-        """Return what answers a text, decided once in the scene; ``at(camera).answer`` shows it in a view. Phrases and
+        """Return the answer to a text, decided once in the scene; ``at(camera).answer`` shows it in a view. Phrases and
         expressions have an ``ExpressionAnswer``.
 
         Example:
@@ -255,7 +255,7 @@ class LanguageField(Field):
     @overload
     def location(self, question: Several | Question[Several]) -> list[Place]: ...
     def location(self, question: str | Several | Question[Any] | Answer) -> Place | list[Place]:
-        """Return where something is in the world: the position, oriented box and Gaussians of the best thing.
+        """Return the place of something in the world: position, oriented box and Gaussians of the best thing.
 
         It also takes an answer of ``answer``. Its ``position`` is None for what is not there.
 
@@ -287,7 +287,7 @@ class LanguageField(Field):
         return things_of_question(self, self.question(question))
 
     def relations(self, frame: Frame | None = None) -> list[tuple[int, str, int]]:
-        """Return which things are on or inside others of their level: (number, "on" or "inside", number of the other).
+        """Return the things on or inside others of their level: (number, "on" or "inside", number of the other).
 
         ``frame`` says what up means; by default ``field.frame()``.
 
@@ -310,7 +310,7 @@ class LanguageField(Field):
         return copy.deepcopy(make_catalog(self, self.question(literal(question)), frame))
 
     def frame(self, camera: Camera | str | int | None = None, up: Sequence[float] | None = None) -> Frame:
-        """Return what left, front and up mean in phrases such as "mug left of the laptop".
+        """Return the directions left, front and up of phrases such as "mug left of the laptop".
 
         Args:
             camera: from which left, right, front and back are meant, or its name or position among ``cameras``; by

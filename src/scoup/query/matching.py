@@ -1,4 +1,4 @@
-"""Which things of a scene answer a text, chosen once from their fits.
+"""The choice of the things of a scene that answer a text, made once from their fits.
 
 At each level, the things with the largest fits may answer together, for a text may mean several, or one seen in pieces.
 Such a set is judged by four things:
@@ -78,7 +78,7 @@ class _Sets:
 
     @classmethod
     def of(cls, known: ThingIndex, fits: Tensor, rows: Tensor, usable: Tensor, level: int) -> _Sets:
-        """Return those of one level.
+        """Return the sets of one level.
 
         Args:
             known: as for ``choose_things``.
@@ -88,16 +88,16 @@ class _Sets:
         """
         top = fits.amax(2, keepdim=True)
         middle = torch.where(usable[:, None], fits, torch.nan).nanmedian(2, keepdim=True).values
-        mine = usable & (known.levels[rows] == level)
-        ordered, order = torch.where(mine[:, None], fits, -torch.inf).sort(
+        of_level = usable & (known.levels[rows] == level)
+        ordered, order = torch.where(of_level[:, None], fits, -torch.inf).sort(
             dim=2, descending=True, stable=True
         )
         ordered, order = ordered[..., : constants.MOST_TOGETHER + 1], order[..., : constants.MOST_TOGETHER]
-        count, place = mine.sum(1)[:, None, None], torch.arange(constants.MOST_TOGETHER + 1)
-        # Behind all things of a level stands a thing like any other.
+        count, rank = of_level.sum(1)[:, None, None], torch.arange(constants.MOST_TOGETHER + 1)
+        # A thing of median fit follows the last one of a level.
         last = ordered.roll(1, 2)
-        ordered = torch.where(place == count, torch.minimum(middle, last), ordered)
-        is_set = (place[:-1] < count).expand_as(order)
+        ordered = torch.where(rank == count, torch.minimum(middle, last), ordered)
+        is_set = (rank[:-1] < count).expand_as(order)
         numbers = rows[torch.arange(len(rows))[:, None, None], order]
         mass = known.mass[numbers]
         mean = (ordered[..., :-1] * mass).cumsum(2) / mass.cumsum(2)
@@ -121,7 +121,7 @@ class _Sets:
         )
 
     def support(self, other: _Sets) -> Tensor:
-        """Return [S, Q, P]: what the best set of another level with the same Gaussians adds to each set."""
+        """Return [S, Q, P], the bonus of each set for the best set of another level with the same Gaussians."""
         columns = other.order[:, :, None, :].expand(-1, -1, constants.MOST_TOGETHER, -1)
         both = self.shared.gather(3, columns).cumsum(2).cumsum(3)  # [S, Q, P, P of the other]
         same = both > constants.SAME_GAUSSIANS * (self.sizes[..., None] + other.sizes[:, :, None] - both)
@@ -132,7 +132,7 @@ class _Sets:
 def _choose(
     known: ThingIndex, fits: Tensor, starts: Tensor, ends: Tensor, level: int | None
 ) -> Iterator[tuple[int, int, Choice]]:
-    """Yield place of the scene, of the text, and choice, of some scenes and of texts with fits [N, Q]."""
+    """Yield the index of a scene, the index of a text, and their choice, for some scenes and texts with fits [N, Q]."""
     width = max(int((ends - starts).max()), constants.MOST_TOGETHER + 1)
     rows = starts[:, None] + torch.arange(width)
     there = rows < ends[:, None]
@@ -140,23 +140,23 @@ def _choose(
     usable = known.usable[rows] & there
     fits = torch.where(usable[..., None], fits[rows], -torch.inf).transpose(1, 2).contiguous()
     levels = known.levels[rows][usable].unique().tolist()
-    sets = {each: _Sets.of(known, fits, rows, usable, each) for each in levels}
-    wanted = [each for each in levels if level in (None, each)]
+    sets = {one: _Sets.of(known, fits, rows, usable, one) for one in levels}
+    wanted = [one for one in levels if level in (None, one)]
     if not wanted:
         return
     scores = [
-        sets[each].scores + sum(sets[each].support(other) for k, other in sets.items() if k != each)
-        for each in wanted
+        sets[one].scores + sum(sets[one].support(other) for k, other in sets.items() if k != one)
+        for one in wanted
     ]
     score, best = torch.cat(scores, 2).max(2)
-    which, place = best // constants.MOST_TOGETHER, best % constants.MOST_TOGETHER
+    which, rank = best // constants.MOST_TOGETHER, best % constants.MOST_TOGETHER
     at = which[..., None]
-    order = torch.stack([sets[each].order for each in wanted], 2)
+    order = torch.stack([sets[one].order for one in wanted], 2)
     order = order.gather(2, at[..., None].expand(-1, -1, 1, constants.MOST_TOGETHER))[:, :, 0].tolist()
-    fit = torch.stack([sets[each].best for each in wanted], 2).gather(2, at)[..., 0].tolist()
-    rivals = torch.cat([sets[each].rivals for each in wanted], 2).gather(2, best[..., None])[..., 0].tolist()
-    places, kinds = place.tolist(), which.tolist()
+    fit = torch.stack([sets[one].best for one in wanted], 2).gather(2, at)[..., 0].tolist()
+    rivals = torch.cat([sets[one].rivals for one in wanted], 2).gather(2, best[..., None])[..., 0].tolist()
+    ranks, kinds = rank.tolist(), which.tolist()
     for scene, text in (score > -torch.inf).nonzero().tolist():
-        things, rival = order[scene][text][: places[scene][text] + 1], rivals[scene][text]
+        things, rival = order[scene][text][: ranks[scene][text] + 1], rivals[scene][text]
         kind = wanted[kinds[scene][text]]
         yield scene, text, Choice(tuple(things), kind, fit[scene][text], None if rival < 0 else rival)

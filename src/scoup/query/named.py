@@ -58,15 +58,14 @@ def joined_presence(presence: float, by_field: float | None) -> float:
 
 
 def named_texts(table: ThingTable | None, question: Question) -> list[dict[int, Named]]:
-    """Return what things of a field are known of each text by its name, or by a name near to it, as of scene 0; nothing
-    of all other texts."""
+    """Return for each text its ``Named`` in a field, by its name or a name near it, as of scene 0; {} without one."""
     if table is None or table.names is None:
         return [{} for _ in question.texts]
-    return [{} if own is None else {0: own} for own in find_named(table.names, len(table), question)]
+    return [{} if named is None else {0: named} for named in find_named(table.names, len(table), question)]
 
 
 def find_named(names: NameTable, count: int, question: Question) -> list[Named | None]:
-    """Return what ``count`` things are known of each text by its name, or by a name near to it."""
+    """Return for each text its ``Named`` among ``count`` things, by its name or a name near it; None without one."""
     near = question.near or (None,) * len(question.texts)
     numbers = [
         names.number(other or text) if names.number(text) is None else names.number(text)
@@ -89,12 +88,12 @@ def joined(
     most, things = votes.max(), torch.tensor(choice.things)
     if most == 0:
         return choice
-    mine = votes[things]
-    if mine.max() >= constants.AGREES * most:
-        return _chosen(choice, things[mine >= constants.TOGETHER * mine.max()], levels, fits)
+    chosen = votes[things]
+    if chosen.max() >= constants.AGREES * most:
+        return _chosen(choice, things[chosen >= constants.TOGETHER * chosen.max()], levels, fits)
     best = fits[usable].max()
-    # A thing that fits like the median thing has e times fewer votes than one that fits best; as logarithms, because
-    # where most things fit alike, others have fewer than any number is small.
+    # A thing that fits like the median thing has e times fewer votes than the best one; in logarithms, as votes
+    # underflow where most things fit alike.
     lowered = votes.log() + (fits - best).clamp(max=0) / (best - fits[usable].median()).clamp(min=1e-6)
     together = (lowered >= lowered.max() + math.log(constants.TOGETHER)) & (
         levels == levels[lowered.argmax()]
@@ -133,13 +132,13 @@ def voted_names(
         & (votes >= constants.TOGETHER * votes.amax(0))
         & (names.presence[usable] >= constants.LIKELY)
     )
-    found = {}
+    by_thing = {}
     for thing, row in enumerate(best_words(votes).tolist()):
-        mine = [usable[word] for word in row if sure[thing, word]]
-        if mine:
-            score = Named(names, mine[0], len(table)).score(thing=thing)
-            found[thing] = tuple(names.texts[word] for word in mine), score
-    return found
+        rows = [usable[word] for word in row if sure[thing, word]]
+        if rows:
+            score = Named(names, rows[0], len(table)).score(thing=thing)
+            by_thing[thing] = tuple(names.texts[word] for word in rows), score
+    return by_thing
 
 
 def best_words(cosines: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike
     with the lens and distance of one; they begin there."""
     from scipy.spatial.transform import Rotation
 
-    point, axis = (torch.as_tensor(each, dtype=torch.float64).numpy() for each in (centre, up))
+    point, axis = (torch.as_tensor(vector, dtype=torch.float64).numpy() for vector in (centre, up))
     arm = camera.position.numpy() - point
     length = np.linalg.norm(axis)
     if (

@@ -62,7 +62,7 @@ RESERVED = frozenset(
 )
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
 _STOPS = ",;."  # after a noun
-_SPACE = "\0"  # before each word of what stands in double quotes
+_SPACE = "\0"  # before each word in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -72,31 +72,31 @@ KNOWN_PHRASES = (
 
 @dataclass(frozen=True)
 class Phrase:
-    """A text, and what singles out some of the things that answer it. Relations count first, then the order."""
+    """A text, and the relation and order that single out some of its things. Relations count first, then the order."""
 
     text: str  # "" before a relation: any object
     relation: str = ""  # a key of RELATIONS; "" for none
-    anchors: tuple[Target, ...] = ()  # what the relation refers to: one, for "between" two
+    anchors: tuple[Target, ...] = ()  # targets of the relation: one, for "between" two
     order: str = ""  # "largest", "smallest", or one of SIDES to count from; "" keeps all
     rank: int = 1  # in that order
 
     @property
     def texts(self) -> tuple[str, ...]:
         """Return all texts to look for, its own first."""
-        own = (self.text,) if self.text else ()
-        return *own, *(text for anchor in self.anchors for text in texts_of(anchor))
+        noun = (self.text,) if self.text else ()
+        return *noun, *(text for anchor in self.anchors for text in texts_of(anchor))
 
     @property
     def parts(self) -> tuple[Phrase, ...]:
         """Return itself and the phrases in it."""
-        inner = (part for anchor in self.anchors if isinstance(anchor, Phrase) for part in anchor.parts)
+        inner = (phrase for anchor in self.anchors if isinstance(anchor, Phrase) for phrase in anchor.parts)
         return self, *inner
 
     @property
     def is_seen(self) -> bool:
         """Return whether its things depend on where it is seen from."""
         sides = ("left", "right", "front", "back")
-        return any(part.relation in DIRECTED or part.order in sides for part in self.parts)
+        return any(phrase.relation in DIRECTED or phrase.order in sides for phrase in self.parts)
 
     def __str__(self) -> str:
         ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
@@ -105,7 +105,7 @@ class Phrase:
             text = f"{self.order} {text}" if self.rank == 1 else f"{ordinal} {self.order} {text}"
         elif self.order in SIDES:
             text = f"{ordinal} {text} from the {self.order}"
-        anchors = " and ".join(quoted(each) if isinstance(each, str) else str(each) for each in self.anchors)
+        anchors = " and ".join(quoted(one) if isinstance(one, str) else str(one) for one in self.anchors)
         return f"{text} {self.relation} {anchors}" if self.relation else text
 
 
@@ -160,13 +160,13 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
             f"{source}: more than {_DEEPEST} relations within each other; ask for fewer at a time"
         )
     lowered = [word.lower() for word in words]
-    place = next(_relations(lowered), None)
-    end = len(words) if place is None else place[0]
+    first = next(_relations(lowered), None)
+    end = len(words) if first is None else first[0]
     head, order, rank = _ordered(words[:end], source)
-    if place is None:
+    if first is None:
         noun = _noun(head, source)
         return Phrase(noun, order=order, rank=rank) if order else _joined(words)
-    _, relation, length = place
+    _, relation, length = first
     rest = words[end + length :]
     while head and head[-1].lower() in _FILLERS:
         head = head[:-1]
@@ -177,13 +177,13 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
         parts = [rest[:middle], rest[middle + 1 :]]
     else:
         parts = [rest]
-    anchors = tuple(_anchor(part, source, depth) for part in parts)
+    anchors = tuple(_anchor(span, source, depth) for span in parts)
     noun = _noun(head, source)
     return Phrase("" if noun.lower() in _ANYTHING else noun, relation, anchors, order, rank)
 
 
 def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
-    """Places of relations after the first word, from the left: start, relation and length in words."""
+    """Yield the relations after the first word, from the left: start, relation and length in words."""
     for start in range(1, len(words)):
         if words[start] in _UNKNOWN:
             raise _refusal(" ".join(words), f"unknown relation {words[start]!r}")
@@ -202,7 +202,7 @@ def _relations_at(words: Sequence[str], start: int) -> list[tuple[int, str]]:
 
 
 def _ordered(words: Sequence[str], source: str) -> tuple[Sequence[str], str, int]:
-    """The words without what says an order; the order, and the rank in it."""
+    """Return the words that say no order; the order, and the rank in it."""
     lowered = [word.lower() for word in words]
     first = 1 if lowered[:1] and lowered[0] in ARTICLES else 0
     rank = _rank(lowered[first]) if len(lowered) > first else None

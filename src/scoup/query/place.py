@@ -43,7 +43,7 @@ class Place:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is there; true if that was not judged and any Gaussian answers."""
+        """True if the thing is there, or if that was not judged and any Gaussian answers."""
         return self.thing is not None
 
     def __repr__(self) -> str:

@@ -42,7 +42,7 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
 
 
 def check_share(name: str, value: float | None) -> None:
-    """Refuse what is not a number from 0 to 1, if it was passed."""
+    """Refuse a value that is not a number from 0 to 1; None passes."""
     if value is not None and not (isinstance(value, Real) and 0 <= value <= 1):
         raise InputError(f"{name} must be 0 to 1, got {value}")
 
@@ -84,7 +84,7 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
 
 
 def compared_others(question: Question[Any]) -> Tensor:
-    """Return which everyday words count for each text, [Q, B] boolean; [Q, 0] with too few words."""
+    """Return a mask of the everyday words that count for each text, [Q, B] boolean; [Q, 0] with too few words."""
     queries = question.queries.float().cpu()
     if not question.can_judge_presence:
         return torch.zeros(len(queries), 0, dtype=torch.bool)
@@ -117,10 +117,10 @@ class TextScore:
         if count := self._best.shape[1]:
             lower = self._best[[*scenes]] < torch.tensor(fits)[:, None]
             scores = [number / count for number in lower.sum(1).tolist()]
-        for place, scene in enumerate(scenes if self._named else ()):
+        for index, scene in enumerate(scenes if self._named else ()):
             if scene in self._named:
-                thing = None if things is None else things[place]
-                scores[place] = self._named[scene].score(scores[place], thing)
+                thing = None if things is None else things[index]
+                scores[index] = self._named[scene].score(scores[index], thing)
         return scores
 
 
@@ -130,4 +130,4 @@ def text_scores(
     """Return the score of each text against the best fits of everyday words [S, B], joined with those of its names in
     the scenes; with too few words, none counts."""
     every = zip(compared_others(question), named or [None] * len(question.texts), strict=True)
-    return [TextScore(best_fits[:, : len(own)], own, names) for own, names in every]
+    return [TextScore(best_fits[:, : len(others)], others, names) for others, names in every]

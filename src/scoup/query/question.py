@@ -127,9 +127,9 @@ class Question(TextVectors, Generic[Asked]):
         """Make a question of vectors, with attributes as options."""
         return cls(**{**vars(vectors), **options})
 
-    def shaped(self, found: list[Found]) -> Found | list[Found]:
-        """Return the only one of what was found for each text if the question was one text."""
-        return found[0] if self.is_single else found
+    def shaped(self, results: list[Found]) -> Found | list[Found]:
+        """Return the results of all texts, or the only one if the question was one text."""
+        return results[0] if self.is_single else results
 
     def vectors_of(self, number: int, level: int) -> AskedText:
         """Return one of its texts as vectors, at the level that answers it."""
@@ -161,23 +161,23 @@ def make_question(
     given = (texts,) if is_single else tuple(texts) if isinstance(texts, (list, tuple)) else ()
     if isinstance(texts, (list, tuple)) and not texts:
         raise InputError('pass at least one text, for example "kettle"')
-    if not all(isinstance(each, (str, Expression)) for each in given):
-        given = ()  # vectors, or what cannot be asked
+    if not all(isinstance(text, (str, Expression)) for text in given):
+        given = ()  # vectors, or an invalid question
 
     def made() -> Question[Any]:
         asked = tuple(
-            (str(each), each if isinstance(each, Expression) else parse_expression([each], encoder.names))
-            for each in given
+            (str(text), text if isinstance(text, Expression) else parse_expression([text], encoder.names))
+            for text in given
         )
-        alone = [each.root for _, each in asked if isinstance(each.root, str)]
-        every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
+        alone = [tree.root for _, tree in asked if isinstance(tree.root, str)]
+        every = [*dict.fromkeys(text for _, tree in asked for text in tree.texts)]
         words = alone if len(alone) == len(asked) else every
         vectors = encode_texts(encoder, words)
         if not words:
             queries = query_vectors(_given_vectors(texts), field.dim)
             names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
             vectors = replace(vectors, texts=names, queries=queries)
-        wants_everything = any(each.wants_everything for _, each in asked)
+        wants_everything = any(tree.wants_everything for _, tree in asked)
         return Question.from_vectors(
             vectors.with_everyday(),
             threshold=threshold,
@@ -205,7 +205,7 @@ def naming_question(field: Field, encoder: TextEncoder, words: Sequence[str] = (
     def made() -> Question[Any]:
         given = None if field.thing_table is None else field.thing_table.names
         every = words or everyday_vocabulary(encoder)
-        if not words and given is not None and encoder.names is None:  # a table has no more than its names
+        if not words and given is not None and encoder.names is None:  # a table has only its names
             folded = {word.casefold() for word in every}
             every = (*every, *(text for text in given.texts if text.casefold() not in folded))
         if not every:
@@ -256,10 +256,10 @@ def near_names(
     known = tuple(text for text in given if text in encoder)
     if not known:
         return ()
-    cosines, places = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)
+    cosines, rows = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)
     return tuple(
-        known[place] if cosine >= constants.NEAR_NAME else None
-        for cosine, place in zip(cosines.tolist(), places.tolist(), strict=True)
+        known[row] if cosine >= constants.NEAR_NAME else None
+        for cosine, row in zip(cosines.tolist(), rows.tolist(), strict=True)
     )
 
 
@@ -311,7 +311,7 @@ def encode_texts(encoder: TextEncoder, texts: Sequence[str]) -> TextVectors:
 
 
 def _mean_phrase(encoder: TextEncoder, error: UnknownNameError) -> Tensor:
-    """The unit mean [1, D] of a table's names, for canonical phrases that the table lacks."""
+    """Return the unit mean [1, D] of a table's names, for canonical phrases that the table lacks."""
     words, source = encoder.everyday(), encoder.source
     phrases = ", ".join(CANONICAL_PHRASES)
     if len(words) < LEAST_WORDS:
@@ -341,12 +341,12 @@ def warn_of_another_model(given: str, wanted: str, source: str) -> None:
 
 
 def _words_of(model: str) -> set[str]:
-    """The words that tell models apart in their names, which transformers and open_clip write differently."""
+    """Return the words that tell models apart in their names, which transformers and open_clip write differently."""
     return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
 
 
 def _where_words_are(field: Field, other: TextEncoder) -> str:
-    """The remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
+    """Return the remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
     named = field.embedding_model
     if named == COLORS:
         return NO_WORDS_FOR_COLORS

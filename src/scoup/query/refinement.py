@@ -31,8 +31,7 @@ from scoup.uplift import name_things
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A field with the names that a model gave to its things, and how many photographs, and rendered views in their
-    place, the model looked at, for how long."""
+    """A field with the names that a model gave to its things, and the views, photographed or rendered, that it saw."""
 
     field: LanguageField
     texts: tuple[str, ...]
@@ -140,7 +139,7 @@ def choose_views(
 
 
 def _apparent_sizes(field: Field, cameras: Cameras) -> Tensor:
-    """Return how well each of T things is seen by each camera, [V, T] 0..1, whatever may be in between."""
+    """Return the apparent size of each of T things in each camera, [V, T] 0..1, ignoring occlusion."""
     table = field.thing_table
     assert table is not None
     means = field.gaussians.means.float().cpu()

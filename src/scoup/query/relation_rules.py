@@ -1,4 +1,4 @@
-"""When a relation between things holds, measured along the directions of a frame.
+"""The conditions of relations between things, measured along the directions of a frame.
 
 Spans along right, up and away (``PointSets.spans``) stand for things; contact for "on" is measured from the
 Gaussians below. The rules are ours; `python -m benchmarks things` measures them.
@@ -45,13 +45,13 @@ class Shapes:
         return self.spans[number, :, 1] - self.spans[number, :, 0]
 
     def gap(self, one: int, other: int) -> float:
-        """Distance between the spans of two things; 0 where they overlap."""
+        """Return the distance between the spans of two things; 0 where they overlap."""
         low = np.maximum(self.spans[one, :, 0], self.spans[other, :, 0])
         high = np.minimum(self.spans[one, :, 1], self.spans[other, :, 1])
         return float(np.linalg.norm((low - high).clip(min=0)))
 
     def overlap(self, one: int, other: int) -> float:
-        """The share of one thing's footprint that lies over another's."""
+        """Return the share of one thing's footprint that lies over another's."""
         share = 1.0
         for axis in (RIGHT, AWAY):
             low = max(self.spans[one, axis, 0], self.spans[other, axis, 0])
@@ -84,7 +84,7 @@ class Shapes:
         return bool((beside > constants.ENCLOSED[0] * every).mean() >= constants.SURROUNDED)
 
     def _around(self, one: int, other: int, margin: float) -> Array:
-        """Means of another over and around the footprint of one, as far as a multiple of its extent."""
+        """Return the means of another over and around the footprint of one, as far as a multiple of its extent."""
         means = self.points.of_one(other)
         margins = margin * self.extent(one)
         around = np.ones(len(means), bool)
@@ -94,7 +94,7 @@ class Shapes:
         return means[around]
 
     def _sectors(self, means: Array, other: int) -> NDArray[np.int64]:
-        """How many of the means lie in each direction from another thing."""
+        """Return the number of means in each direction from another thing."""
         away = means - self.middle(other)
         sectors = np.floor(
             (np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * constants.DIRECTIONS
@@ -103,7 +103,7 @@ class Shapes:
 
 
 def _beyond(axis: int, sign: int) -> Condition:
-    """Return whether the middle of one lies clearly on one side of another along an axis."""
+    """Return the condition that the middle of one lies clearly on one side of another along an axis."""
 
     def holds(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
         offset = sign * (shapes.middle(one)[axis] - shapes.middle(others[0])[axis])
@@ -123,7 +123,7 @@ def _touches(shapes: Shapes, one: int, other: int) -> bool:
 def _on(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     if not _touches(shapes, one, others[0]):
         return False
-    # Of two that seem to be on each other the one whose bottom is higher is.
+    # Of two that seem to be on each other, the one with the higher bottom is.
     lower = shapes.spans[one, UP, 0] < shapes.spans[others[0], UP, 0]
     return not (lower and _touches(shapes, others[0], one))
 
@@ -133,7 +133,7 @@ def _above(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     over = max(shapes.overlap(one, other), shapes.overlap(other, one))
     height = shapes.extent(one)[UP]
     clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - constants.CONTACT * height
-    # What stands on the lower end of something tall is not under it.
+    # A thing on the lower end of something tall is not under it.
     clear = clear and not _on(shapes, other, (one,))
     return bool(over >= constants.OVER_PART and (clear or _on(shapes, one, others)))
 
@@ -165,9 +165,9 @@ def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     length = float(np.linalg.norm(line))
     if length <= 0:
         return False
-    place = float(offset @ line) / length**2
+    along = float(offset @ line) / length**2
     low, high, aside = constants.BETWEEN
-    return bool(low <= place <= high and np.linalg.norm(offset - place * line) <= aside * length)
+    return bool(low <= along <= high and np.linalg.norm(offset - along * line) <= aside * length)
 
 
 CONDITIONS: Mapping[str, Condition] = {

@@ -1,4 +1,4 @@
-"""Which things a phrase singles out, by its relations and its order."""
+"""The things that a phrase singles out, by its relations and its order."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def resolve(
     things = list(of_texts[target.text])
     anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
     if not target.text:
-        others = [anchor for each in anchors for anchor in each]
+        others = [anchor for group in anchors for anchor in group]
         things = [thing for thing in things if not any(overlaps(thing, other) for other in others)]
     if target.relation:
         things = _related(field, target.relation, things, anchors, frame)
@@ -52,7 +52,7 @@ def _related(
 ) -> list[Thing]:
     if not things or not all(anchors):
         return []
-    every = [*things, *(thing for each in anchors for thing in each)]
+    every = [*things, *(thing for group in anchors for thing in group)]
     shapes = Shapes.of(field, every, frame)
     starts = np.cumsum([len(things), *map(len, anchors)])
     first = range(starts[0], starts[1])
@@ -90,7 +90,7 @@ def _same(one: Thing, other: Thing) -> bool:
 
 
 def _ordered(field: Field, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:
-    """The one thing of an order and rank; all without an order."""
+    """Return the one thing of an order and rank; all without an order."""
     if not phrase.order or not things:
         return things
     if phrase.order in _ENDS:
@@ -104,14 +104,14 @@ def _ordered(field: Field, phrase: Phrase, things: list[Thing], frame: Frame) ->
 
 
 def relations(field: Field, frame: Frame | None = None) -> list[tuple[int, str, int]]:
-    """Return how the things of a field stand to each other; ``LanguageField.relations`` documents it."""
+    """Return the relations between the things of a field; ``LanguageField.relations`` documents it."""
     frame, every = frame or scene_frame(field), all_things(field)
     levels = [[thing for thing in every if thing.level == level] for level in field.levels]
     return [pair for of_level in levels for pair in related_pairs(field, of_level, frame)]
 
 
 def related_pairs(field: Field, things: Sequence[Thing], frame: Frame) -> Iterator[tuple[int, str, int]]:
-    """Yield which things are inside or on which others: (number, "inside" or "on", number of the other)."""
+    """Yield the things inside or on others: (number, "inside" or "on", number of the other)."""
     shapes = Shapes.of(field, things, frame)
     low, high = shapes.spans[..., 0], shapes.spans[..., 1]
     heights = (high - low)[:, UP]

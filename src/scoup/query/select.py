@@ -1,4 +1,4 @@
-"""Which Gaussians answer an expression, such as "mug and not handle" or "mug left of the laptop"."""
+"""The Gaussians that answer an expression, such as "mug and not handle" or "mug left of the laptop"."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Resh
     if wanted.largest and inside.any():
         weights = (gaussians.opacities.cpu().double().clamp(0, 1) * relevancy.cpu().double())[usable].numpy()
         parts = connected_parts(points[inside])
-        kept = parts == np.bincount(parts, np.nan_to_num(weights[inside])).argmax()
-        inside[inside] = kept
+        is_heaviest = parts == np.bincount(parts, np.nan_to_num(weights[inside])).argmax()
+        inside[inside] = is_heaviest
     if (wanted.shrink or wanted.grow) and inside.any() and len(points) > 1:
         nearest, lengths = nearest_points(points, min(NEIGHBOURS, len(points) - 1))
         linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])

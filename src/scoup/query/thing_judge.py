@@ -1,4 +1,4 @@
-"""Things of one scene or many, compared with everyday words: which of them answer a text, and whether it is there.
+"""Things of one scene or many, compared with everyday words: answers to texts, and their presence.
 
 The fit of a thing to a text is their cosine, less half of the cosine with the words that fit the thing best: some
 things are near to any word (local scaling of cosines, one side of it; Conneau et al. 2018). Its unit is the scene's
@@ -103,33 +103,33 @@ class ThingIndex:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[ThingIndex]) -> ThingIndex:
+    def joined(cls, indices: Sequence[ThingIndex]) -> ThingIndex:
         """Return one index of the scenes of several, one at least, all compared with the same words."""
         names = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs")
-        first = [0, *accumulate(len(part.shares.others) for part in parts)]
+        first = [0, *accumulate(len(index.shares.others) for index in indices)]
         shares = Shares(
-            torch.cat([part.shares.ends[:-1] + start for part, start in zip(parts, first, strict=False)]
+            torch.cat([index.shares.ends[:-1] + start for index, start in zip(indices, first, strict=False)]
                       + [torch.tensor(first[-1:])]),
-            torch.cat([part.shares.others for part in parts]),
-            torch.cat([part.shares.gaussians for part in parts]),
+            torch.cat([index.shares.others for index in indices]),
+            torch.cat([index.shares.gaussians for index in indices]),
         )  # fmt: skip
         return cls(
-            words=parts[0].words,
-            vectors=tuple(each for part in parts for each in part.vectors),
+            words=indices[0].words,
+            vectors=tuple(vectors for index in indices for vectors in index.vectors),
             shares=shares,
-            known_best_fits=pad_sequence([each for part in parts for each in part.best_fits], True),
-            **{name: torch.cat([getattr(part, name) for part in parts]) for name in names},
+            known_best_fits=pad_sequence([fits for index in indices for fits in index.best_fits], True),
+            **{name: torch.cat([getattr(index, name) for index in indices]) for name in names},
         )
 
     def with_words(self, words: Tensor) -> ThingIndex:
         """Return the index of other words."""
-        hubs = torch.cat([hub_cosines(each, words) for each in self.vectors])
+        hubs = torch.cat([hub_cosines(vectors, words) for vectors in self.vectors])
         return replace(self, words=words, hubs=hubs, known_best_fits=None)
 
     @property
     def nbytes(self) -> int:
         """Bytes of its largest tensors."""
-        return self.words.nbytes + sum(each.nbytes for each in self.vectors)
+        return self.words.nbytes + sum(vectors.nbytes for vectors in self.vectors)
 
     @cached_property
     def starts(self) -> list[int]:
@@ -142,7 +142,7 @@ class ThingIndex:
         Each scene has a product of its own: of several together, the last bits would differ from those of one alone.
         """
         queries = queries.float().cpu().T
-        return torch.cat([_float(each) @ queries for each in self.vectors])
+        return torch.cat([_float(vectors) @ queries for vectors in self.vectors])
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fits [N, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
@@ -153,7 +153,7 @@ class ThingIndex:
         return lowered / self.spread[rows, None] - self.doubt[rows, None]
 
     def leads(self, fits: Tensor) -> Tensor:
-        """Return how much better things fit texts than the everyday words that fit them best, [N, Q], of their fits."""
+        """Return the leads [N, Q] of things, from their fits to texts, over the everyday words that fit them best."""
         return fits - ((1 - constants.HUB_SHARE) * self.hubs / self.spread)[:, None]
 
     @cached_property
@@ -183,9 +183,9 @@ class ThingIndex:
         sizes = torch.where(counted.flatten(), ends[things + 1] - ends[things], 0)
         rows = torch.arange(len(things)).repeat_interleave(sizes)
         pairs = torch.arange(len(rows)) + (ends[things] - sizes.cumsum(0) + sizes)[rows]
-        found = torch.zeros(len(things), width)
-        found[rows, self.shares.others[pairs].long()] = self.shares.gaussians[pairs]
-        return found.view(*counted.shape, width)
+        shared = torch.zeros(len(things), width)
+        shared[rows, self.shares.others[pairs].long()] = self.shares.gaussians[pairs]
+        return shared.view(*counted.shape, width)
 
     def judge(
         self,
@@ -203,13 +203,13 @@ class ThingIndex:
         fits = self.fits(question.queries) if known_fits is None else known_fits
         scores = text_scores(question, self.best_fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
-            mine = fits[:, number]
-            for scene, own in named[number].items():
+            text_fits = fits[:, number]
+            for scene, name in named[number].items():
                 choice, rows = choices[scene], slice(*self.starts[scene : scene + 2])
-                if choice is not None and own.is_sure:
-                    parts = self.levels[rows], self.usable[rows], mine[rows]
-                    choices[scene] = joined(choice, own.votes, *parts, question.level)
-            yield self._verdicts(question, choices, mine, scores[number])
+                if choice is not None and name.is_sure:
+                    parts = self.levels[rows], self.usable[rows], text_fits[rows]
+                    choices[scene] = joined(choice, name.votes, *parts, question.level)
+            yield self._verdicts(question, choices, text_fits, scores[number])
 
     def _verdicts(
         self, question: Question[Any], choices: Sequence[Choice | None], fits: Tensor, score: TextScore
@@ -218,22 +218,22 @@ class ThingIndex:
         nothing = 0.0 if question.can_judge_presence else None
         verdicts = [Verdict((), (), level, nothing, is_present(nothing, 0, least), None)] * len(choices)
         made = [(scene, choice) for scene, choice in enumerate(choices) if choice is not None]
-        rivals = [(scene, each.runner_up) for scene, each in made if each.runner_up is not None]
+        rivals = [(scene, choice.runner_up) for scene, choice in made if choice.runner_up is not None]
         rows = [self.starts[scene] + rival for scene, rival in rivals]
         of_rivals = score.each(fits[rows].tolist(), *zip(*rivals, strict=True)) if rivals else []
         runners_up = {
-            scene: RunnerUp(rival, own) for (scene, rival), own in zip(rivals, of_rivals, strict=True)
+            scene: RunnerUp(rival, value) for (scene, rival), value in zip(rivals, of_rivals, strict=True)
         }
-        scores = score.each([each.fit for _, each in made], [scene for scene, _ in made])
-        things = [(scene, thing) for scene, each in made for thing in each.things]
+        scores = score.each([choice.fit for _, choice in made], [scene for scene, _ in made])
+        things = [(scene, thing) for scene, choice in made for thing in choice.things]
         rows = [self.starts[scene] + thing for scene, thing in things]
         counts = iter(self.counts[rows].tolist())
         alone = iter(score.each(fits[rows].tolist(), *zip(*things, strict=True)) if things else ())
-        for (scene, choice), own in zip(made, scores, strict=True):
+        for (scene, choice), value in zip(made, scores, strict=True):
             size = len(choice.things)
-            present = is_present(own, int(sum(islice(counts, size))), least)
+            present = is_present(value, int(sum(islice(counts, size))), least)
             verdicts[scene] = Verdict(
-                choice.things, tuple(islice(alone, size)), choice.level, own, present, runners_up.get(scene)
+                choice.things, tuple(islice(alone, size)), choice.level, value, present, runners_up.get(scene)
             )
         return verdicts
 
@@ -243,10 +243,10 @@ def _float(vectors: Tensor) -> Tensor:
     threads would take longer than the work."""
     if vectors.dtype == torch.float32:
         return vectors
-    found, rows = torch.empty(vectors.shape), max(1, NUMBERS_AT_A_TIME // vectors.shape[1])
-    for mine, part in zip(found.split(rows), vectors.split(rows), strict=True):
-        mine.copy_(part)
-    return found
+    converted, rows = torch.empty(vectors.shape), max(1, NUMBERS_AT_A_TIME // vectors.shape[1])
+    for target, source in zip(converted.split(rows), vectors.split(rows), strict=True):
+        target.copy_(source)
+    return converted
 
 
 def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
@@ -257,12 +257,12 @@ def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
 def hub_cosines(vectors: Tensor, words: Tensor) -> Tensor:
     """Return the cosine [T] of each thing with the words [B, D] that fit it best, at ``constants.HUB_QUANTILE``."""
     rank = max(1, math.ceil(constants.HUB_QUANTILE * len(words)))
-    parts = vectors.split(THINGS_AT_A_TIME) or [vectors]
-    return torch.cat([(part.float() @ words.T).kthvalue(rank, dim=1).values for part in parts])
+    batches = vectors.split(THINGS_AT_A_TIME) or [vectors]
+    return torch.cat([(batch.float() @ words.T).kthvalue(rank, dim=1).values for batch in batches])
 
 
 def shared_gaussians(things: ThingTable) -> Shares:
-    """Return how many Gaussians each two things of a field share."""
+    """Return the numbers of Gaussians that two things of a field share."""
     owners, count = things.owners.cpu().long(), len(things)
     rows = others = torch.arange(count)
     counts = things.sums(torch.ones(len(owners))).float()

@@ -1,4 +1,4 @@
-"""Which name each thing of a scene has, and which things are one object each.
+"""The names of the things of a scene, and the things that are one object each.
 
 Every thing has a word that fits it best, so this alone names walls "fire extinguisher". A thing and a word have to
 choose each other: the scene's answer to the word contains the thing, and hardly any everyday word is nearer to the
@@ -51,15 +51,15 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     queries, everyday = question.queries.float().cpu(), compared_words(question)
     near = less_common(known.cosines(queries))
     words = less_common(known.cosines(everyday))
-    found: dict[int, list[tuple[float, int]]] = {}
+    candidates: dict[int, list[tuple[float, int]]] = {}
     for number, answer in enumerate(each_answer(field, question)):
         for thing in answer.things:
             fit = near[thing, number]
             if int((words[thing] > fit + 1e-6).sum()) <= constants.NEARER_WORDS * len(everyday):
-                found.setdefault(thing, []).append((-float(fit), number))
+                candidates.setdefault(thing, []).append((-float(fit), number))
     best = {
         thing: [number for _, number in sorted(numbers)[: constants.NAMES]]
-        for thing, numbers in found.items()
+        for thing, numbers in candidates.items()
     }
     fits, scores, names = known.fits(queries), text_scores(question, known.best_fits), {}
     for thing, like in _alike(known, best).items():
@@ -72,7 +72,7 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
 
 
 def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
-    """Return the named things, and those of other levels with the same Gaussians, each with the named one."""
+    """Return the named things and things of other levels with the same Gaussians, each with its named one."""
     counts = known.counts.tolist()
     best: dict[int, tuple[float, int]] = {}
     for one, other, both in known.shares.pairs():
@@ -119,7 +119,7 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
         )
 
     nested = [
-        replace(each, parent=wholes.get(each.number)) if each.parent is None else each for each in things
+        replace(thing, parent=wholes.get(thing.number)) if thing.parent is None else thing for thing in things
     ]
     objects = {thing.number for thing in best_of_trees(nested)}
     return [thing for thing in things if thing.number in objects and is_object(thing)]
@@ -142,23 +142,23 @@ def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]
 
 
 def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
-    """Return, of each tree of things and their parts, those whose names fit best together."""
-    place = {thing.number: number for number, thing in enumerate(things)}
+    """Return the things of each tree, of things and their parts, whose names fit best together."""
+    index_of = {thing.number: number for number, thing in enumerate(things)}
     parts: list[list[int]] = [[] for _ in things]
     roots = []
     for number, thing in enumerate(things):
-        (parts[place[thing.parent]] if thing.parent in place else roots).append(number)
+        (parts[index_of[thing.parent]] if thing.parent in index_of else roots).append(number)
 
     def best(number: int) -> tuple[float, list[int]]:
-        """Return how well a thing, or the objects in it, are named."""
+        """Return the score of a thing, or of the objects in it if their names fit better, and these."""
         thing = things[number]
-        own = (1.0 if thing.score is None else thing.score) if thing.text else constants.UNNAMED
-        below = [best(part) for part in parts[number]]
-        sizes = [things[part].n_gaussians / thing.n_gaussians for part in parts[number]]
+        alone = (1.0 if thing.score is None else thing.score) if thing.text else constants.UNNAMED
+        below = [best(child) for child in parts[number]]
+        sizes = [things[child].n_gaussians / thing.n_gaussians for child in parts[number]]
         together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))
-        if together / max(1.0, sum(sizes)) > own:
-            return together / max(1.0, sum(sizes)), [each for _, objects in below for each in objects]
-        return own, [number]
+        if together / max(1.0, sum(sizes)) > alone:
+            return together / max(1.0, sum(sizes)), [index for _, objects in below for index in objects]
+        return alone, [number]
 
-    objects = [each for root in roots for each in best(root)[1]]
-    return [things[each] for each in sorted(objects)]
+    objects = [index for root in roots for index in best(root)[1]]
+    return [things[index] for index in sorted(objects)]

@@ -1,4 +1,4 @@
-"""The things of a scene as objects: every instance with position, box and Gaussians, or those that a text selects."""
+"""The things of a scene as objects: every instance with position, box and Gaussians, or the things of a text."""
 
 from __future__ import annotations
 
@@ -77,15 +77,15 @@ class Thing:
     def __repr__(self) -> str:
         what = f"thing {self.number}" if self.number is not None else "part"
         named = f" {self.text!r}" if self.text else ""
-        place = rounded_vector(self.position.tolist())
-        return f"Thing({what}{named} at {place}, level {self.level}, {self.n_gaussians:,} Gaussians)"
+        position = rounded_vector(self.position.tolist())
+        return f"Thing({what}{named} at {position}, level {self.level}, {self.n_gaussians:,} Gaussians)"
 
     def _repr_html_(self) -> str:
         return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
 
     def describe(self, metres_per_unit: float | None = None) -> str:
         """Return position and extent in words, for people; in metres, too, if the length of the unit is known."""
-        position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
+        position = ", ".join(f"{value:g}" for value in rounded_vector(self.position.tolist()))
         extent, metres = (
             " x ".join(f"{side:.3g}" for side in (self.box.extent * unit).tolist())
             for unit in (1.0, metres_per_unit or 1.0)
@@ -93,7 +93,7 @@ class Thing:
         return f"[{position}], extent {extent}{f' ({metres} m)' if metres_per_unit is not None else ''}"
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
-        """The thing as plain JSON values, rounded.
+        """Return the thing as plain JSON values, rounded.
 
         Args:
             metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
@@ -164,10 +164,10 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
     if best == thing.number:
         return thing
     (score,) = text_scores(one, known.best_fits, named_texts(table, one))
-    found = [
+    best_parts = [
         replace(part, text=text, score=score(fits[best], best)) for part in things_of_table(field, [best])
     ]
-    return found[0] if found else thing
+    return best_parts[0] if best_parts else thing
 
 
 def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
@@ -175,15 +175,15 @@ def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
     table = field.thing_table
     assert table is not None
     members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
-    place = torch.full((len(table) + 1,), -1, dtype=torch.int64)
-    place[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
+    index_of = torch.full((len(table) + 1,), -1, dtype=torch.int64)
+    index_of[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
     for owners in table.owners.cpu().T:
-        places = place[owners.long()]  # NO_THING reads the last, which is none
-        rows = true_rows(places >= 0)
-        order = places[rows].argsort(stable=True)
-        of_thing, counts = places[rows].unique(return_counts=True)
-        for number, part in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
-            members[number] = part
+        indices = index_of[owners.long()]  # NO_THING reads the last, -1
+        rows = true_rows(indices >= 0)
+        order = indices[rows].argsort(stable=True)
+        of_thing, counts = indices[rows].unique(return_counts=True)
+        for number, gaussians in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
+            members[number] = gaussians
     parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
     return [
         replace(
@@ -199,7 +199,7 @@ def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
 
 
 def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | None]:
-    """Parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
+    """Return the parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
     points = PointSets.of(field.gaussians, members)
     shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
     return [
@@ -209,7 +209,7 @@ def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | 
 
 
 def _connected_things(field: Field, answer: Answer) -> list[Thing]:
-    """The connected parts of a selection, those that weigh most first; a Gaussian weighs opacity times relevancy."""
+    """Return the connected parts of a selection, heaviest first; a Gaussian weighs opacity times relevancy."""
     rows = true_rows(answer.mask)
     gaussians = field.gaussians.select(rows.to(field.gaussians.device)).to("cpu")
     usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.opacities)
@@ -225,7 +225,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
         part
         for part in heaviest
         if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= constants.STRAY_SHARE * weights.max()
-    ] or heaviest[:1]  # where all are small, they are what there is
+    ] or heaviest[:1]  # the heaviest if all are small
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
         replace(thing, text=answer.text)

@@ -77,7 +77,7 @@ class ViewAnswer:
 
     @property
     def text(self) -> str:
-        """What was asked."""
+        """The text asked."""
         return self.answer.text
 
     @property
@@ -92,12 +92,12 @@ class ViewAnswer:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is in the scene."""
+        """True if the thing is in the scene."""
         return self.answer.presence
 
     @property
     def visible(self) -> bool:
-        """Whether the thing is visible from here."""
+        """True if the thing is visible from here."""
         return self.point is not None
 
     @property
@@ -120,7 +120,7 @@ class ViewAnswer:
         return f"ViewAnswer({self.text!r} in {self.view!r}: {facts if self.visible else self.remark()})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "source": None}  # which holds the scene
+        return {**self.__dict__, "source": None}  # it contains the scene
 
     def _repr_html_(self) -> str:
         return card(f"{self.text!r} in {self.view}", self.to_dict(), as_picture(self.pictures()["overlay"]))
@@ -190,7 +190,7 @@ def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
     """Return (x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None of an empty mask."""
     if not mask.numel():
         return None
-    bits = mask.view(torch.uint8)  # torch finds their largest much sooner than any of a boolean
+    bits = mask.view(torch.uint8)  # torch reduces bytes much faster than booleans
     rows, columns = bits.amax(1).nonzero()[:, 0], bits.amax(0).nonzero()[:, 0]
     if not len(rows):
         return None
@@ -214,10 +214,10 @@ def main_parts(mask: Tensor) -> tuple[Tensor, Tensor]:
     ndimage.label(inside, np.ones((3, 3)), output=labels)  # pyright: ignore[reportArgumentType]
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    kept = areas >= constants.SPECK * areas.max()
-    kept[0] = False
+    is_main = areas >= constants.SPECK * areas.max()
+    is_main[0] = False
     parts, largest = torch.zeros_like(mask), torch.zeros_like(mask)
-    parts[window] = torch.from_numpy(kept[labels])
+    parts[window] = torch.from_numpy(is_main[labels])
     largest[window] = torch.from_numpy(labels == areas.argmax())
     return parts, largest
 

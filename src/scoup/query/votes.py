@@ -1,4 +1,4 @@
-"""Which Gaussians answer a text by their own codes, without rendering: the votes, in fields without things.
+"""The votes: Gaussians that answer a text by their own codes, without rendering, in fields without things.
 
 The papers fix one threshold per data set (0.6, 0.3, 0.45). Where a thing stands out, relevancy falls steeply at its
 border, and the area above a threshold hardly depends on it. So the threshold is the one at which the logarithm of that
@@ -58,8 +58,8 @@ def true_rows(mask: Tensor) -> Tensor:
 def select_each(field: Field, question: Question) -> Iterator[Selection]:
     """Yield the Gaussians that answer each text by the votes alone.
 
-    One level answers each text: with a threshold that with the largest relevancy, as in VALA-3D; otherwise that whose
-    selected Gaussians have the largest mean relevancy. Gaussians without a code at that level are never selected.
+    One level answers each text: with a threshold, the level of the largest relevancy, as in VALA-3D; otherwise the one
+    whose selected Gaussians have the largest mean relevancy. Gaussians without a code there are never selected.
     """
     threshold, level = question.threshold, question.level
     rows = slice(None) if level is None else slice(level, level + 1)
@@ -104,12 +104,12 @@ def _most_stable(values: Tensor, coded: Tensor) -> Selection:
     peaks = spans[:, 1].tolist()
     means = torch.where(areas > 0, sums / areas, -torch.inf).tolist()
     order = means if bool(areas.any()) else peaks
-    number = order.index(max(order))  # the first of levels alike
+    number = order.index(max(order))  # the first of equals
     return Selection(masks[number], values[number], number, float(thresholds[number]))
 
 
 class SampledVotes:
-    """Evenly chosen Gaussians of a field, of which texts and everyday words select some, to be compared.
+    """An even sample of a field's Gaussians, to compare texts and everyday words by the Gaussians they select.
 
     Args:
         field: without things, or asked by a threshold.
@@ -135,7 +135,7 @@ class SampledVotes:
         fits = []
         for some in queries.to(self._cosines.codes.codebook).split(MOST_TEXTS):
             relevancy = self._cosines.relevancy(some)
-            fits += [select_by_relevancy(each, self._coded).fit for each in relevancy.unbind(1)]
+            fits += [select_by_relevancy(of_text, self._coded).fit for of_text in relevancy.unbind(1)]
         return torch.tensor(fits)
 
 
@@ -160,7 +160,7 @@ def thresholds_of_counts(counts: Tensor) -> Tensor:
 
 
 def stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the span of each row, and how many of its values are in each hundredth once rescaled over it.
+    """Return the span of each row, and the number of its values in each hundredth once rescaled over it.
 
     Args:
         values: [S, M] floating point.
@@ -181,22 +181,22 @@ def stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
 def plain_stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
     """``stretched_counts`` in torch."""
     spans, counts = torch.zeros(len(values), 2, dtype=values.dtype), torch.zeros(len(values), BINS).long()
-    for number, (row, own) in enumerate(zip(values, coded, strict=True)):
-        row = row[own]
+    for number, (row, is_coded) in enumerate(zip(values, coded, strict=True)):
+        row = row[is_coded]
         low, high = row.aminmax() if len(row) else row.new_tensor([torch.inf, -torch.inf])
         spans[number] = torch.stack([low, high])
         if spans[number].isfinite().all():
             # A little lower than needed, for rounding.
             counted = row[row >= low + (high - low) * lowest_share() - 1e-6]
-            for part in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
-                counts[number] += torch.histc(part, BINS, 0, 1).cpu().long()
+            for batch in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
+                counts[number] += torch.histc(batch, BINS, 0, 1).cpu().long()
     return spans, counts
 
 
 def above_thresholds(
     values: Tensor, coded: Tensor, spans: Tensor, thresholds: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return which values of each row are above its threshold once rescaled, how many, and their sum.
+    """Return masks of the values of each row above its threshold once rescaled, their number and their sum.
 
     Args:
         values, coded: as for ``stretched_counts``.
@@ -213,7 +213,7 @@ def above_thresholds(
     result = core.above_thresholds(
         _rows(values), _bytes(coded), spans.numpy(), thresholds.numpy(), torch.get_num_threads()
     )
-    masks, counts, sums = (torch.from_numpy(each) for each in result)
+    masks, counts, sums = (torch.from_numpy(array) for array in result)
     return masks.view(torch.bool), counts, sums
 
 

@@ -1,4 +1,4 @@
-"""Connections to the viewer's server: a place for everybody who asks, and none for those who only hold one.
+"""Connections to the viewer's server: a slot for each client that asks, and none for idle ones.
 
 uvicorn ends idle connections, and refuses the newest requests beyond a number; it neither makes room for new visitors
 nor ends a connection that is slow to send a request or to read an answer.
@@ -28,7 +28,7 @@ _UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nConten
 
 
 class BoundedConnection(H11Protocol):
-    """A connection that the server waits for no longer than ``SECONDS``, and that makes room for a new one.
+    """A connection with a deadline of ``SECONDS``, closed early when a new one needs its slot.
 
     Where all places are taken, the connection that the server has waited for longest ends: of strangers first, then of
     the address with the most connections.
@@ -44,7 +44,7 @@ class BoundedConnection(H11Protocol):
         self.is_stranger = bool(self.prefix)
         self._wait()
         opened = opened_of(self.server_state)
-        strangers = [each for each in opened if each.is_stranger]
+        strangers = [peer for peer in opened if peer.is_stranger]
         if len(strangers) > STRANGERS:
             (idlest(strangers, self) or self).end()
         elif len(opened) > MOST:
@@ -98,15 +98,15 @@ class BoundedConnection(H11Protocol):
 
 def opened_of(server: ServerState) -> list[BoundedConnection]:
     """Return the connections of a server."""
-    return [each for each in server.connections if isinstance(each, BoundedConnection)]
+    return [peer for peer in server.connections if isinstance(peer, BoundedConnection)]
 
 
 def idlest(opened: list[BoundedConnection], but: BoundedConnection | None = None) -> BoundedConnection | None:
     """Return the connection with the earliest deadline: of strangers first, then of the address with the most."""
-    addresses = Counter(each.client and each.client[0] for each in opened)
+    addresses = Counter(peer.client and peer.client[0] for peer in opened)
     waiting = [
-        (not each.is_stranger, -addresses[each.client and each.client[0]], each.deadline.when(), number)
-        for number, each in enumerate(opened)
-        if each.deadline is not None and each is not but
+        (not peer.is_stranger, -addresses[peer.client and peer.client[0]], peer.deadline.when(), number)
+        for number, peer in enumerate(opened)
+        if peer.deadline is not None and peer is not but
     ]
     return opened[min(waiting)[-1]] if waiting else None

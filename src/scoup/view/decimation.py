@@ -1,4 +1,4 @@
-"""The Gaussians of a field that a page shows: all of them, or fewer, of which each stands for several neighbours."""
+"""The Gaussians of a field that a page shows: all of them, or fewer that stand for several neighbours each."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class _Arrays:
     @classmethod
     def of(cls, gaussians: Gaussians, rows: NDArray[np.int64]) -> _Arrays:
         parts = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh[:, 0]
-        return cls(*(part.numpy()[rows] for part in parts))
+        return cls(*(tensor.numpy()[rows] for tensor in parts))
 
     def select(self, rows: NDArray[np.int64] | slice) -> _Arrays:
         return _Arrays(*(getattr(self, field.name)[rows] for field in fields(self)))
@@ -123,11 +123,11 @@ def _groups(
     code, kind, largest = codes.numpy()[order], kinds[order], drawn.scales.max(1)[order]
 
     def cells(level: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return in this order which Gaussians may be merged, and of those, which begin a group."""
+        """Return masks in this order: the Gaussians that may be merged, and among them the first of each group."""
         fits = largest <= _LARGEST * unit * 2.0**level
-        cell, own = code[fits] >> 3 * level, kind[fits]
+        cell, cell_kind = code[fits] >> 3 * level, kind[fits]
         begins = np.ones(len(cell), bool)
-        begins[1:] = (cell[1:] != cell[:-1]) | (own[1:] != own[:-1])
+        begins[1:] = (cell[1:] != cell[:-1]) | (cell_kind[1:] != cell_kind[:-1])
         return fits, begins
 
     def count(level: int) -> int:
@@ -184,9 +184,9 @@ def _merged(
     colors = np.stack([mean(column) for column in drawn.colors.T], 1)
     spreads = np.empty((6, len(group)), np.float32)
     for start in range(0, len(group), _AT_A_TIME):
-        part = slice(start, start + _AT_A_TIME)
-        x, y, z = (drawn.means[part] - means[group[part]]).astype(np.float32).T
-        spreads[:, part] = drawn.select(part).covariances() + np.stack(
+        rows = slice(start, start + _AT_A_TIME)
+        x, y, z = (drawn.means[rows] - means[group[rows]]).astype(np.float32).T
+        spreads[:, rows] = drawn.select(rows).covariances() + np.stack(
             [x * x, y * y, z * z, x * y, x * z, y * z]
         )
     xx, yy, zz, xy, xz, yz = (mean(spread) for spread in spreads)
@@ -194,15 +194,15 @@ def _merged(
     chosen = np.sort((-total).argsort(kind="stable")[:most])
     merged = drawn.select(members[chosen])
     many = np.flatnonzero(sizes[chosen] > 1)
-    own = chosen[many]
-    covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1)[own].reshape(-1, 3, 3)
+    groups = chosen[many]
+    covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1)[groups].reshape(-1, 3, 3)
     variances, axes = np.linalg.eigh(covariances)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     scales = np.sqrt(variances.clip(min=0))
-    merged.means[many] = means[own]
+    merged.means[many] = means[groups]
     merged.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
     merged.scales[many] = scales
     with np.errstate(divide="ignore"):
-        merged.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
-    merged.colors[many] = colors[own]
+        merged.opacities[many] = (total[groups] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
+    merged.colors[many] = colors[groups]
     return merged, members[chosen]

@@ -1,4 +1,4 @@
-"""The method's own answers for the page: renders of any camera, and what is at a pixel."""
+"""The method's own answers for the page: renders of any camera, and the words at a pixel."""
 
 from __future__ import annotations
 
@@ -64,8 +64,7 @@ def draw_picture(
     rgb = view.renders.colors().cpu()
     if mode == "color":
         return as_picture(rgb)
-    # A view that was asked before answers quicker, and rounds otherwise; the picture must not depend on what others
-    # have asked.
+    # Answers from a warm cache round differently; the picture must not depend on earlier questions.
     view.cache.clear()
     shown = view.show(answers)
     if mode == "heat" and len(shown) == 1:
@@ -142,7 +141,7 @@ def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]
 
 def _mean_embedding(field: Field, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
-    # On the CPU: sums by index on a GPU are not the same twice.
+    # On the CPU: indexed sums on a GPU are not deterministic.
     indices = signed(field.code_indices)[:, level].index_select(0, gaussians)
     atoms = indices.view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[:, level].index_select(0, gaussians).float() * weights[:, None]).cpu()

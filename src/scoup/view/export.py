@@ -78,7 +78,7 @@ def export_page(
     }
     scene_bytes = len(first)
 
-    def part(number: int) -> str:
+    def encoded_part(number: int) -> str:
         nonlocal scene_bytes
         packed = viewed.part(number, effort=9)
         scene_bytes += len(packed)
@@ -93,14 +93,14 @@ def export_page(
             for name, script in scripts.items():
                 (hidden / name).write_text(script, encoding="utf-8")
             for number, name in enumerate(part_files):  # one after another, as the page loads them
-                script = _assignment(f"window.scoupData.parts[{number}]", part(number))
+                script = _assignment(f"window.scoupData.parts[{number}]", encoded_part(number))
                 (hidden / name).write_text(script, encoding="utf-8")
         for other in out.glob("part_[0-9]*.js") if overwrite else ():
             if other.name not in names:
                 remove(other)
         size = sum((out / name).stat().st_size for name in names)
     else:
-        whole = {**data, "parts": [part(number) for number in range(viewed.n_parts)]}
+        whole = {**data, "parts": [encoded_part(number) for number in range(viewed.n_parts)]}
         html = files.in_one(settings, f"<script>{_assignment('window.scoupData', whole)}</script>")
         with atomic_path(out, overwrite) as temporary:
             temporary.write_text(html, encoding="utf-8")
@@ -120,8 +120,8 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
     vocabulary = viewed.vocabulary()
     if vocabulary is None:
         return b"", 0
-    found = scene_answers(viewed.field, vocabulary)
-    answers = [*reported(found, "words", len(vocabulary.texts), progress)]
+    pending = scene_answers(viewed.field, vocabulary)
+    answers = [*reported(pending, "words", len(vocabulary.texts), progress)]
     return words_data(viewed.field, answers), len(answers)
 
 

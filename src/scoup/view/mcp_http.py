@@ -33,7 +33,7 @@ def serve_http(server: Any, port: int, announce: Callable[[str, str], None]) -> 
         host=HOST, json_response=True, stateless_http=True, max_request_body_size=MOST_BYTES
     )
     with bound_socket(HOST, port) as listening:
-        listening.listen()  # who connects now waits until the server runs
+        listening.listen()  # clients wait until the server runs
         announce(f"http://{HOST}:{listening.getsockname()[1]}/mcp", token)
         config = uvicorn.Config(
             _WithToken(inner, token),

@@ -98,7 +98,7 @@ async def _serve(server: Any, stopped: list[int]) -> None:
         stopped.append(number)
         task.cancel()
 
-    # An exception of a signal would be raised wherever the loop is, and be reported as a fault.
+    # Without handlers, a signal raises inside the loop, which reports a fault.
     with suppress(NotImplementedError):  # on Windows
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, stop, number)
@@ -179,21 +179,21 @@ def _strict(kind: Any, refusal: Any, parameters: Mapping[str, Mapping[str, inspe
 
 
 def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, Any]) -> str:
-    """Return what is wrong with an argument, in one sentence."""
+    """Describe the mistake in an argument in one sentence."""
     name, *_ = error["loc"]
     kind = parameters[name].annotation
-    found = "none" if error["type"] == "missing" else repr(error["input"])[:80]
-    return f"{name}: expected {kind}, got {found}"
+    given = "none" if error["type"] == "missing" else repr(error["input"])[:80]
+    return f"{name}: expected {kind}, got {given}"
 
 
 def _without_folders(message: str, tools: SceneTools) -> str:
-    """Take out of a message in which folders of this machine files are."""
+    """Remove the folders of this machine from a message."""
     for field in tools.fields.values():  # whose folders may have spaces in their names
-        # Not the encoder's: an error may be that none can be opened.
+        # Not the encoder's: it may be impossible to open one.
         words = field.info.words or field.embedding_model if field.words is None else field.words
-        for place in (field.path, field.geometry_path, words):
-            if place and isinstance(place, (str, Path)):
-                message = message.replace(str(place), Path(place).name)
+        for source in (field.path, field.geometry_path, words):
+            if source and isinstance(source, (str, Path)):
+                message = message.replace(str(source), Path(source).name)
     return re.sub(r"(?<![\w.:/])/(?:[\w.@+~-]+/)+", "", message)
 
 

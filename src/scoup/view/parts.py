@@ -41,7 +41,7 @@ class Parts:
         self._around = gaussians.means[torch.from_numpy(self._sample)]
         places = np.sort(morton_codes(self._around)[0].numpy())
         count = -(-len(gaussians) // PART_GAUSSIANS) if len(places) else 1
-        self._ends = places[[len(places) * part // count for part in range(1, count)]]
+        self._ends = places[[len(places) * number // count for number in range(1, count)]]
 
     def __len__(self) -> int:
         return len(self._ends) + 1
@@ -61,20 +61,20 @@ class Parts:
             copies = np.where(covers[rows] > most, 1, self._step)
         number = self._numbers(gaussians.means[torch.from_numpy(rows)])
         parts = []
-        for part in range(len(self)):
-            chosen = number == part
+        for index in range(len(self)):
+            chosen = number == index
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
             parts.append(self._decimated(rows[chosen], most, copies[chosen]))
         joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in parts), strict=True)]
         return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in parts]
 
     def _covers(self) -> NDArray[np.float32]:
-        """Return [N] what each Gaussian covers."""
+        """Return the cover of each Gaussian, [N]."""
         covers = np.empty(len(self._gaussians), np.float32)
         scales, opacities = self._gaussians.scales.numpy(), self._gaussians.opacities.numpy()
         for start in range(0, len(covers), _AT_A_TIME):
-            part = slice(start, start + _AT_A_TIME)
-            covers[part] = cover(scales[part], opacities[part])
+            rows = slice(start, start + _AT_A_TIME)
+            covers[rows] = cover(scales[rows], opacities[rows])
         return covers
 
     @property
@@ -98,9 +98,8 @@ class Parts:
 
     @cached_property
     def _rows(self) -> list[NDArray[np.int32]]:
-        """The rows of each part."""
         means = self._gaussians.means
-        number = np.concatenate([self._numbers(part) for part in means.split(_AT_A_TIME)])
+        number = np.concatenate([self._numbers(batch) for batch in means.split(_AT_A_TIME)])
         order = number.argsort(kind="stable").astype(np.int32)
         return np.split(order, np.bincount(number, minlength=len(self)).cumsum()[:-1])
 

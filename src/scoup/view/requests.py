@@ -38,7 +38,7 @@ class Message:
             raise InputError(f"pass at most {MOST_TEXTS} colors")
         if not all(isinstance(color, list) and len(color) == 3 for color in colors):
             raise InputError("a color has 3 numbers")
-        numbers = [[_number(part, "color", 0, 255) for part in color] for color in colors]
+        numbers = [[_number(value, "color", 0, 255) for value in color] for color in colors]
         return [(red, green, blue) for red, green, blue in numbers]
 
     def opacity(self) -> float:

@@ -67,10 +67,10 @@ def scene_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
 def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
     coded, answers = field.coded_levels().cpu(), answers_of(field, question)
     by_things = answers[0].threshold is None
-    if by_things:  # the page draws things, so an expression is present where there are some
+    if by_things:  # the page draws things, so an expression is present if it has any
         answers = [
-            replace(each, presence=bool(each.things)) if isinstance(each, ExpressionAnswer) else each
-            for each in answers
+            replace(one, presence=bool(one.things)) if isinstance(one, ExpressionAnswer) else one
+            for one in answers
         ]
     if question.asked and not by_things:
         raise InputError(
@@ -91,7 +91,7 @@ def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
             {**{key: record[key] for key in VERDICT}, "remark": None if is_text else answer.remark()},
             asked.level,
             list(chosen.things) if by_things else None,
-            [list(each.things) if by_things else None for each in others],
+            [list(other.things) if by_things else None for other in others],
             list(chosen.without) if isinstance(chosen, ExpressionAnswer) else [],
             atom_scores(field, asked.query)[:, :, 0].contiguous(),
             *level_thresholds(relevancy, coded),

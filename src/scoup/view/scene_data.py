@@ -41,7 +41,7 @@ VERSION = 1
 _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
 _LARGER = 6.0  # logarithm of how much larger than the second a scale may be
 _CODES_FOR_COLORS = 50_000
-_FOR_SURROUNDINGS = 100_000  # Gaussians, whose medians are those of all
+_FOR_SURROUNDINGS = 100_000  # Gaussians sampled for the medians of all
 NO_OWNER = 65535
 """In the place of the number of a thing."""
 
@@ -68,7 +68,7 @@ def scene_metadata(
         "up": up,
         "centre": centre,
         "radius": radius,
-        # Of a folder only its name: a page may go where the folders of this machine mean nothing.
+        # The name only: the folders of this machine mean nothing elsewhere.
         "embedding_model": Path(model).name if Path(model).is_absolute() else model,
         "words_problem": words_problem,
         "present_from": present_from,
@@ -110,7 +110,7 @@ def part_data(field: Field, shown: PageGaussians, effort: int = 6) -> bytes:
 def _rows(
     field: Field, shown: PageGaussians, codes: UnitCodes
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return what a file has per Gaussian, and the ranges of its fractions."""
+    """Return the arrays of a file, per Gaussian, and the ranges of its fractions."""
     largest = float(codes.weights.max()) if codes.weights.numel() else 0.0
     tensors, ranges = _splat(shown.gaussians)
     tensors |= {
@@ -135,7 +135,7 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     finite, scales = some.means[rows].cpu(), some.scales[rows].cpu()
     middle = finite.median(0).values.double() if len(finite) else torch.zeros(3, dtype=torch.float64)
     around = float((finite - middle.float()).norm(dim=1).median()) if len(finite) else 1.0
-    # Cameras that turn on the spot are hardly apart, and a single Gaussian is around nothing.
+    # Cameras that turn on the spot are hardly apart, and a single Gaussian has no extent.
     least = max(
         0.1 * around,
         float(scales.amax(1).median()) if len(finite) else 0.0,

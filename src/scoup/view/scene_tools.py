@@ -109,7 +109,7 @@ class SceneTools:
         objects = find_objects(field, list(every.values()))
         if thing is not None:
             asked = _numbered_thing(every, thing)
-            objects = [asked, *(each for each in objects if not overlaps(each, asked))]
+            objects = [asked, *(entry for entry in objects if not overlaps(entry, asked))]
         related: dict[int, dict[str, list[int]]] = {}
         shown = {thing}
         for one, what, other in related_pairs(field, objects, field.frame()):
@@ -117,10 +117,10 @@ class SceneTools:
                 related.setdefault(one, {}).setdefault(what, []).append(other)
                 shown |= {one, other}
 
-        def node(each: Thing) -> dict[str, Any]:
-            return {**_name(each), **related.get(each.number or 0, {})}
+        def node(entry: Thing) -> dict[str, Any]:
+            return {**_name(entry), **related.get(entry.number or 0, {})}
 
-        return _reply([each for each in objects if thing is None or each.number in shown], limit, node)
+        return _reply([entry for entry in objects if thing is None or entry.number in shown], limit, node)
 
     def find(self, scene: str, text: str, seen_from: str | None = None, limit: int = 50) -> dict[str, Any]:
         """Find every thing that a text or phrase names, the best first.
@@ -145,8 +145,8 @@ class SceneTools:
             **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
             "remark": answer.remark(),
             "texts": [
-                {"text": part.text, **{key: part.to_dict()[key] for key in _OF_TEXTS}}
-                for part in answer.parts
+                {"text": single.text, **{key: single.to_dict()[key] for key in _OF_TEXTS}}
+                for single in answer.parts
             ],
             "directions": frame.describe(),
             "frame": {"axes": axes, "units": units, **frame.to_dict()},
@@ -156,7 +156,7 @@ class SceneTools:
         """Describe one thing by its number: place, box, what it is a part of, and its own parts."""
         every = self._named(scene)
         one = _numbered_thing(every, thing)
-        parts = [number for number, each in every.items() if each.parent == thing]
+        parts = [number for number, other in every.items() if other.parent == thing]
         return {**one.to_dict(self.metres_per_unit), "parts": parts}
 
     def measure_distance(self, scene: str, thing: int, other: int) -> dict[str, Any]:
@@ -179,10 +179,10 @@ class SceneTools:
             view = Cameras([view]).scaled(WIDEST / max(view.width, view.height))[0]
         seen = field.at(view)
         picture = as_picture(seen.renders.colors().cpu())
-        for place, thing in enumerate(marked):
+        for index, thing in enumerate(marked):
             mask = thing_mask(seen, thing)
             if bool(mask.any()):
-                color = _COLORS[place % len(_COLORS)]
+                color = _COLORS[index % len(_COLORS)]
                 drawn = mask_overlay(mask, picture, color=color)
                 picture = np.where(mask.numpy()[..., None], drawn, picture)
                 picture = _numbered(picture, mask.numpy(), str(thing.number), color)
@@ -265,9 +265,9 @@ def _numbered(picture: Picture, mask: np.ndarray, text: str, color: tuple[int, i
     rows, columns = np.nonzero(mask)
     image = Image.fromarray(picture)
     draw, face = ImageDraw.Draw(image), font(max(12, math.ceil(picture.shape[1] / 50)))
-    place = (float(np.median(columns)), float(np.median(rows)))
+    middle = (float(np.median(columns)), float(np.median(rows)))
     draw.text(
-        place,
+        middle,
         text,
         fill="white",
         font=face,

@@ -31,11 +31,11 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_MOST_PACKED = 64 << 20  # bytes that are kept: parts of a million Gaussians are packed once
+_MOST_PACKED = 64 << 20  # bytes of the cache: parts of a million Gaussians are packed once
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
-    """The server of one field.
+    """Return the server of one field.
 
     Args:
         viewed: the field.
@@ -78,9 +78,9 @@ class _Answers:
             self.work.begin(lambda: self._cache.value("scene", viewed.scene))
 
     async def _kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """What is made once for all visitors, as long as there is room for it."""
-        found = self._cache.get(key)
-        return await self.work.run(lambda: self._cache.value(key, make)) if found is None else found
+        """Return a value made once for all visitors, while the cache has room for it."""
+        value = self._cache.get(key)
+        return await self.work.run(lambda: self._cache.value(key, make)) if value is None else value
 
     async def index(self, request: Request) -> Response:
         html = self.page.with_settings(self.viewed.settings(self.mode))
@@ -167,7 +167,7 @@ class _Answers:
         return FileResponse(path, filename=name, background=BackgroundTask(folder.cleanup))
 
     def _rules(self, message: Message) -> dict[str, Any]:
-        """By which texts are answered."""
+        """Return the options by which texts are answered."""
         level = message.level(len(self.viewed.field.levels))
         return {"level": level, "threshold": message.threshold(), "always": message.flag("always")}
 
@@ -177,9 +177,9 @@ async def _text(content: Any, media_type: str, request: Request) -> Response:
 
 
 def _number(request: Request, count: int) -> int:
-    """The number of the path, which must be below the count."""
+    """Return the number in the path, which must be below the count."""
     digits = request.path_params["number"]
-    # Not by starlette's int: a number of thousands of digits is a fault to Python.
+    # Not starlette's int: Python refuses to parse thousands of digits.
     number = int(digits) if digits.isascii() and digits.isdecimal() and len(digits) < 10 else count
     if number >= count:
         raise HTTPException(404)
@@ -187,18 +187,18 @@ def _number(request: Request, count: int) -> int:
 
 
 async def _answered(answer: Answer, request: Request) -> Response:
-    """The answer to a message, once it is read and is JSON."""
+    """Return the answer to a message that is JSON."""
     too_long = _error(413, f"a message has at most {MOST_BYTES:,} bytes")
     announced = request.headers.get("content-length", "0")
     if not announced.isdecimal() or int(announced) > MOST_BYTES:
         return too_long  # without waiting for it
     body = b""
     try:
-        async for part in request.stream():
-            body += part
+        async for chunk in request.stream():
+            body += chunk
             if len(body) > MOST_BYTES:
                 return too_long
-    except ClientDisconnect:  # visitors may leave in the midst of a message; nobody hears this
+    except ClientDisconnect:  # the visitor has left
         return _error(400, "the message broke off")
     try:
         fields = json.loads(body)
@@ -224,18 +224,18 @@ class _Guarded:
         headers = Request(scope).headers
         names = headers.get("host"), headers.get("origin"), headers.get("sec-fetch-site")
         reason = self.guard.refuses(scope["method"], *names)
-        # Who lacks the token has one answer per connection.
+        # Without the token, a connection gets one answer.
         ends = reason is not None or not scope["path"].startswith(f"{self.guard.prefix}/")
         added = {**HEADERS, "connection": "close"} if ends else HEADERS
 
         async def send_with_headers(message: AsgiMessage) -> None:
             if message["type"] == "http.response.start":
-                own = [(name.encode(), value.encode()) for name, value in added.items()]
-                message = {**message, "headers": [*message.get("headers", []), *own]}
+                pairs = [(name.encode(), value.encode()) for name, value in added.items()]
+                message = {**message, "headers": [*message.get("headers", []), *pairs]}
             body = message.get("body", b"")
             for start in range(PART, len(body), PART):  # a client has a deadline for each
                 await send({**message, "body": body[start - PART : start], "more_body": True})
-                await asyncio.sleep(0)  # others have their turn
+                await asyncio.sleep(0)  # let other tasks run
             await send({**message, "body": body[(len(body) - 1) // PART * PART :]} if body else message)
 
         if reason is not None:

@@ -29,7 +29,7 @@ class UnitCodes:
 
     @classmethod
     def of(cls, field: Field, rows: Tensor | slice = slice(None)) -> UnitCodes:
-        """Return those of a field, or of some rows of it, on the CPU."""
+        """Return the unit codes of a field, or of some rows of it, on the CPU."""
         indices, codebook = rows_of(field.code_indices.cpu(), rows), field.codebook.float().cpu()
         weights = field.code_weights.cpu()[rows].float()
         inverse_norms = inverse_code_norms(indices, weights, codebook)

@@ -1,4 +1,4 @@
-"""A field that is looked at: what its page asks for, and what is kept between two questions."""
+"""A field being viewed: the data that its page asks for, and caches between questions."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ViewedField:
         if most < 1:
             raise InputError(f"a page shows at least 1 Gaussian, got {most}")
         self.field = field
-        self.gaussians = field.gaussians  # refused at once if it is not there
+        self.gaussians = field.gaussians  # fails at once if it is missing
         self.most = most
         self.name = "field" if field.path is None else field.path.name
         self.table = str(field.words) if isinstance(field.words, (str, Path)) else None
@@ -83,7 +83,7 @@ class ViewedField:
         """Return the settings of a page: "live", "remote" or "exported"."""
         from scoup.base import VERSION
 
-        # Where a page is sent to, the folders of this machine mean nothing.
+        # The folders of this machine mean nothing elsewhere.
         path, table = (
             name if mode != "exported" or name is None or not _is_file(name) else Path(name).name
             for name in (self.path, self.table)
@@ -105,7 +105,7 @@ class ViewedField:
         return self.words_problem is None and self.field.encoder.names is not None
 
     def question(self, texts: Sequence[str], always: bool = False, **options: Any) -> Question[list[str]]:
-        """Return what ``field.question`` makes of texts and options."""
+        """Return ``field.question`` of texts and options."""
         if self.words_problem is not None:
             raise InputError(self.words_problem)
         return self.field.question(list(texts), always=always, **options)
@@ -153,7 +153,7 @@ class ViewedField:
 
     @property
     def n_parts(self) -> int:
-        """How many parts the page loads after its first file; 0 of a small scene."""
+        """Number of parts that the page loads after its first file; 0 of a small scene."""
         return 0 if self._parts is None else len(self._parts)
 
     def part(self, number: int, effort: int = 1, whole: bool = False) -> bytes:
@@ -164,7 +164,6 @@ class ViewedField:
 
     @cached_property
     def _parts(self) -> Parts | None:
-        """The parts of a large scene."""
         if min(self.most, len(self.field)) <= 2 * parts.COARSE_GAUSSIANS:
             return None
         return Parts(self.gaussians.to("cpu"), self.most, self._owners)
@@ -196,7 +195,7 @@ class ViewedField:
         return draw_picture(self.view_of(camera), mode, answers, colors, opacity, level)
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
-        """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""
+        """Return the position and words at a pixel; see ``scoup.view.exact.what_is_at``."""
         return what_is_at(self.view_of(camera), self.codes.confidence, pixel, self.vocabulary())
 
     def view_of(self, camera: Camera) -> FieldView:
@@ -240,8 +239,8 @@ class ViewedField:
                 "level": self.field.level_index(thing.level),
                 "parent": thing.parent,
             }
-            place = {name: record[name] for name in ("position", "box", "gaussians")}
-            rows.append({**row, "name": thing.text or None, **place, "views": thing.n_regions})
+            facts = {name: record[name] for name in ("position", "box", "gaussians")}
+            rows.append({**row, "name": thing.text or None, **facts, "views": thing.n_regions})
         return rows
 
     def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:

@@ -77,7 +77,7 @@ class Viewer:
             http=type("Connection", (BoundedConnection,), {"prefix": guard.prefix}),
             ws="none",
             backlog=BURST,
-            log_level="error",  # a warning per odd request would fill the terminal
+            log_level="error",  # warnings about odd requests would fill the terminal
             access_log=False,
             server_header=False,
             lifespan="off",
@@ -85,7 +85,7 @@ class Viewer:
             h11_max_incomplete_event_size=65_536,
         )
         self._server: uvicorn.Server = uvicorn.Server(config)
-        # Waited for in place of the thread: until Python 3.12 an interrupted join takes a running thread for ended.
+        # Waited for in place of the thread: until Python 3.12, an interrupted join marks a running thread as ended.
         self._ended = threading.Event()
         threading.Thread(target=self._serve, name="scoup view", daemon=True).start()
         self._wait_for_start()
@@ -103,7 +103,7 @@ class Viewer:
                 self.close()
                 raise ScoupError("the viewer's server did not start")
             time.sleep(0.01)
-        self._socket.listen(socket.SOMAXCONN)  # the others wait with the system, which dropped them otherwise
+        self._socket.listen(socket.SOMAXCONN)  # the system queues further connections, and does not drop them
 
     @property
     def is_open(self) -> bool:
@@ -111,14 +111,14 @@ class Viewer:
         return not self._ended.is_set()
 
     def wait(self) -> None:
-        """Until it is closed, or interrupted."""
+        """Wait until it is closed, or interrupted."""
         while not self._ended.wait(0.5):
             pass
 
     def close(self) -> None:
         """Stop answering; open pages say so."""
         log = logging.getLogger("uvicorn.error")
-        log.addFilter(_nothing)  # it would report each request that waits as a fault, with a traceback
+        log.addFilter(_nothing)  # it reports each pending request as a fault, with a traceback
         try:
             self._server.should_exit = True
             self._ended.wait(10)
@@ -186,12 +186,12 @@ def check_needed() -> None:
 
 
 def _nothing(record: logging.LogRecord) -> bool:
-    """Filter that lets no message through."""
+    """Drop every message."""
     return False
 
 
 def bound_socket(host: str, port: int | None) -> socket.socket:
-    """A socket that is bound to host and port.
+    """Return a socket that is bound to host and port.
 
     Raises:
         InputError: the system refuses.
@@ -204,7 +204,7 @@ def bound_socket(host: str, port: int | None) -> socket.socket:
         raise InputError(f"{host}: is not a host of this machine ({error})") from None
     refusal = ""
     for wanted in dict.fromkeys([address[1], 0 if port is None else address[1]]):
-        # Of a socket that names TCP, asyncio sends small answers at once (TCP_NODELAY), 40 ms earlier.
+        # If a socket names TCP, asyncio sets TCP_NODELAY: small answers arrive 40 ms earlier.
         bound = socket.socket(family, kind, protocol)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -218,6 +218,6 @@ def bound_socket(host: str, port: int | None) -> socket.socket:
 
 
 def _shown_host(host: str) -> str:
-    """The host as an address names it: of one that stands for all of a machine's, the name of the machine."""
+    """Return the host as an address names it: the name of the machine for one that stands for all of its hosts."""
     name = socket.gethostname() if host in ("0.0.0.0", "::") else host
     return f"[{name}]" if ":" in name else name

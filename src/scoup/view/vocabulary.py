@@ -48,9 +48,9 @@ def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> 
     verdicts = [answer.verdict for answer in answers]
     words = get_args(Certainty)
     certainties = [
-        _NONE if each["certainty"] is None else words.index(each["certainty"]) for each in verdicts
+        _NONE if verdict["certainty"] is None else words.index(verdict["certainty"]) for verdict in verdicts
     ]
-    rivals = [each["runner_up"] or {"thing": NO_OWNER, "score": None} for each in verdicts]
+    rivals = [verdict["runner_up"] or {"thing": NO_OWNER, "score": None} for verdict in verdicts]
     codebook = field.codebook.float().cpu()
     tensors = {
         "gram": (codebook @ codebook.transpose(1, 2)).half().numpy(),
@@ -58,22 +58,22 @@ def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> 
         "thresholds": torch.stack([answer.thresholds for answer in answers]).float().numpy(),
         "spans": torch.stack([answer.spans for answer in answers]).float().numpy(),
         "levels": np.array([answer.level for answer in answers], np.uint8),
-        "score": np.array([each["score"] for each in verdicts], np.float32),  # None becomes NaN
+        "score": np.array([verdict["score"] for verdict in verdicts], np.float32),  # None becomes NaN
         "certainty": np.array(certainties, np.uint8),
-        "present": np.array([each["present"] for each in verdicts], np.uint8),
-        "gaussians": np.array([each["gaussians"] for each in verdicts], np.int32),
+        "present": np.array([verdict["present"] for verdict in verdicts], np.uint8),
+        "gaussians": np.array([verdict["gaussians"] for verdict in verdicts], np.int32),
     }
     if answers[0].chosen_things is not None:
         tensors |= _things(answers)
-        tensors["runner_up"] = np.array([each["thing"] for each in rivals], np.uint16)
-        tensors["runner_up_score"] = np.array([each["score"] for each in rivals], np.float32)
+        tensors["runner_up"] = np.array([rival["thing"] for rival in rivals], np.uint16)
+        tensors["runner_up_score"] = np.array([rival["score"] for rival in rivals], np.float32)
     return packed(tensors, {"names": [answer.text for answer in answers], "certainties": words}, effort)
 
 
 def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
-    """Return how many things answer each word, [V, 1 + S]: without and with a level of choice; and their numbers, one
-    after the other."""
+    """Return the number of things that answer each word, [V, 1 + S], without and with a level of choice; and their
+    numbers, one after the other."""
     choices = [[answer.chosen_things, *answer.things] for answer in answers]
-    counts = [[0 if each is None else len(each) for each in row] for row in choices]
-    numbers = [number for row in choices for each in row for number in each or ()]
+    counts = [[0 if choice is None else len(choice) for choice in row] for row in choices]
+    numbers = [number for row in choices for choice in row for number in choice or ()]
     return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
