@@ -317,7 +317,7 @@ def test_an_image_needs_an_embedder_of_images(archive: scoup.Archive, tmp_path: 
     Image.new("RGB", (20, 30)).save(path)
     with pytest.raises(InputError, match=r"some/model .*embeds no image here .*cannot be loaded"):
         archive.find_image(path)
-    monkeypatch.setattr("scoup.extract.registry.open_embedder", lambda name: PlainColors())
+    monkeypatch.setattr("scoup.extract.open_embedder", lambda name: PlainColors())
     with refuses():
         archive.find_image(path)
     with refuses():

@@ -11,12 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from scoup.base.errors import MissingFileError, refused_read
 from scoup.base.outputs import atomic_file
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 _BLOCK = 1 << 20  # bytes read at a time
