@@ -128,7 +128,7 @@ def test_photographs_are_chosen_and_more_are_added() -> None:
 @pytest.mark.parametrize("without", ["point_cloud.ply", "sparse"])
 def test_what_the_choice_of_photographs_needs(monkeypatch: pytest.MonkeyPatch, without: str) -> None:
     """COLMAP's points serve without a splat; without cameras all are taken, unless a number is passed."""
-    monkeypatch.setattr("scoup.extract.constants.FEW", 1)
+    monkeypatch.setattr("scoup.extract.FEW", 1)
     shutil.rmtree("scene/language_features")
     if without == "sparse":
         shutil.rmtree("scene/sparse")
@@ -188,7 +188,7 @@ def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyP
             rows = torch.full((1,), texts.index("robot"))
             return Detections(rows, torch.tensor([0.7]), next(boxes)[None], (width, height))
 
-    monkeypatch.setattr("scoup.models.concepts.open_concepts", lambda name, device: Finder())
+    monkeypatch.setattr("scoup.models.open_concepts", lambda name, device: Finder())
     Path("words.txt").write_text("kettle\nrobot\n")
     said = run_json("extract", "scene", *FREE, "--out", "regions", "--concepts", "words.txt", "--part", "1/1")
     assert (said["concepts"]["words"], said["concepts"]["made"]) == (2, len(cameras))
@@ -270,7 +270,7 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     for place, expected in (
         ("scoup.extract.pipeline.describe_masks", "the views are kept"),
-        ("scoup.uplift.field_build.build", "3 of 3 views are kept"),
+        ("scoup.uplift.build", "3 of 3 views are kept"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupt)

@@ -137,12 +137,12 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(("command", "inside"), [
     ("query f.scoup kettle --out new/answers", "scoup.query.field_view.FieldView.show"),
     ("select f.scoup kettle --out new/a.ply", "scoup.query.ask.each_answer"),
-    ("render f.scoup --out new/a.gif", "scoup.pictures.animation.save_animation"),
+    ("render f.scoup --out new/a.gif", "scoup.pictures.save_animation"),
     ("views scene/point_cloud.ply --width 24 --height 18 --up 0 -1 0 --out new/own",
      "scoup.extract.own_views.render_colors"),
     ("convert scene new/compact", "scoup.io.regions.compact.write_view"),
     ("demo --out new/demo", "scoup_lab.evaluate.demonstration.make_demo_scene"),
-    ("transfer f.scoup edited.ply --out new/b.scoup", "scoup.uplift.field_transfer.transfer"),
+    ("transfer f.scoup edited.ply --out new/b.scoup", "scoup.uplift.transfer"),
     ("build scene --n-atoms 8 --out new/a.scoup", "scoup.uplift.region_codes.fit_codes"),
 ])  # fmt: skip
 def test_where_nothing_is_kept_nothing_is_left(

@@ -188,7 +188,7 @@ def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.M
     field.save(path, weight_bits=8)
     names = field.encoder.names or ()
     save_table(words, names, field.encoder.encode(names))
-    monkeypatch.setattr("scoup.models.concepts.open_concepts", lambda name, device: Finder(field, BALL))
+    monkeypatch.setattr("scoup.query.refinement.open_concepts", lambda name, device: Finder(field, BALL))
     query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
     # The second time, the file has not changed.
     for number, (options, thing) in enumerate(((("--refine", "owlv2"), BALL), ((), LAMP))):
