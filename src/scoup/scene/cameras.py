@@ -141,27 +141,27 @@ class Camera:
             InputError: ``eye`` and ``target`` are the same point, the view direction is parallel to ``up``, or a size
                 or number is not that of a camera.
         """
-        place, aim, upwards = (np.asarray(vector, np.float64) for vector in (eye, target, up))
-        distance, length = np.linalg.norm(aim - place), np.linalg.norm(upwards)
+        center, aim, upwards = (np.asarray(vector, np.float64) for vector in (eye, target, up))
+        distance, length = np.linalg.norm(aim - center), np.linalg.norm(upwards)
         if not 0 < distance < math.inf or not 0 < length < math.inf:
             raise InputError(
-                f"camera {name!r}: no view direction from eye {place.tolist()} to target {aim.tolist()} "
+                f"camera {name!r}: no view direction from eye {center.tolist()} to target {aim.tolist()} "
                 f"with up {upwards.tolist()}"
             )
-        forward = (aim - place) / distance
+        forward = (aim - center) / distance
         right = np.cross(forward, upwards)
         if np.linalg.norm(right) <= _PARALLEL * length:
             raise InputError(f"camera {name!r}: the view direction is parallel to up {upwards.tolist()}")
         right /= np.linalg.norm(right)
         viewmat = np.eye(4)
         viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        viewmat[:3, 3] = -viewmat[:3, :3] @ place
+        viewmat[:3, 3] = -viewmat[:3, :3] @ center
         K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
         return cls(name, torch.from_numpy(viewmat), K, width, height)
 
     def __repr__(self) -> str:
-        place = ", ".join(f"{value:.4g}" for value in self.position.tolist())
-        return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({place}))"
+        position = ", ".join(f"{value:.4g}" for value in self.position.tolist())
+        return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({position}))"
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""
@@ -289,9 +289,9 @@ class Cameras:
             return self._by_name[key]
         wanted = unicodedata.normalize("NFC", key)
         for same in (_whole_names, _stems):
-            found = [camera for camera in self._cameras if wanted in same(camera)]
-            if len(found) == 1:
-                return found[0]
+            matches = [camera for camera in self._cameras if wanted in same(camera)]
+            if len(matches) == 1:
+                return matches[0]
         raise UnknownNameError("camera", key, self.names)
 
     @property

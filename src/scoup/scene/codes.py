@@ -131,7 +131,7 @@ def stable_products(rows: Tensor, others: Tensor) -> Tensor:
     core = native_core() if rows.device.type == "cpu" else None
     if core is None:
         return float32_products(rows, others)
-    arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
+    arrays = (matrix.detach().float().contiguous().numpy() for matrix in (rows, others))
     return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
 
 

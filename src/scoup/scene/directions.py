@@ -67,8 +67,8 @@ def query_vectors(
     rows = given[None] if given.dim() == 1 else given
     if rows.dim() != 2 or rows.shape[1] != dim or not len(rows):
         raise InputError(f"{what} {list(given.shape)} must be [{dim}] or [count, {dim}]")
-    found = unit_rows(rows, what, lengthen)
-    zero = ~found.any(1)
+    directions = unit_rows(rows, what, lengthen)
+    zero = ~directions.any(1)
     if zero.any():
         raise InputError(f"{what}: row {int(zero.nonzero()[0])} is zero, which has no direction")
-    return found
+    return directions

@@ -39,11 +39,11 @@ def plain_nearest_points(
     numbers, lengths = [], []
     for start in range(0, len(points), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        far, found = (np.asarray(each) for each in tree.query(points[rows], k=count + 1, workers=-1))
-        itself = found == np.arange(start, start + len(found))[:, None]
+        far, indices = (np.asarray(array) for array in tree.query(points[rows], k=count + 1, workers=-1))
+        itself = indices == np.arange(start, start + len(indices))[:, None]
         # Missing if more points at its place are found than were searched for: then the last one is left out.
         itself[:, -1] |= ~itself.any(1)
-        numbers.append(found[~itself].reshape(-1, count))
+        numbers.append(indices[~itself].reshape(-1, count))
         lengths.append(far[~itself].reshape(-1, count))
     return np.concatenate(numbers).astype(np.int64), np.concatenate(lengths)
 
