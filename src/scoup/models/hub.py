@@ -91,9 +91,9 @@ class ModelIdentity:
     files: tuple[str, ...] = ()  # of a model on this machine: path, size and time of change
 
 
-def file_states(place: str) -> tuple[str, ...]:
+def file_states(path: str) -> tuple[str, ...]:
     """Return path, size and time of change of a file, or of the files in a folder; nothing if it is not there."""
-    files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
+    files = sorted(entry.path for entry in os.scandir(path)) if os.path.isdir(path) else [path]
     states = [(file, os.stat(file)) for file in map(os.path.realpath, files) if os.path.isfile(file)]
     return tuple(f"{file} {state.st_size} {state.st_mtime_ns}" for file, state in states)
 

@@ -269,8 +269,8 @@ def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
     """
     phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
     names = words.EVERYDAY_WORDS if encoder.names is None else encoder.names
-    kept = (" ".join(name.split()) for name in names)
-    return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
+    cleaned = (" ".join(name.split()) for name in names)
+    return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
 
 
 def check_model(name: str) -> None:
