@@ -196,13 +196,13 @@ class Camera:
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def pixels(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where points [M, 3] of the world are in the image, [M, 2] pixels, and their depths [M], float64 on the
-        CPU; those behind the camera have pixels, too."""
+        """Project points [M, 3] of the world: pixels [M, 2] in the image and depths [M], float64 on the CPU. Points
+        behind the camera have pixels, too."""
         seen = points.double().cpu() @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
         return (seen @ self.K.T)[:, :2] / seen[:, 2:], seen[:, 2]
 
     def shows(self, points: Tensor) -> Tensor:
-        """Return which points [M, 3] are in front of the camera and in its image, [M] boolean on the CPU."""
+        """Return a mask of the points [M, 3] in front of the camera and in its image, [M] boolean on the CPU."""
         pixels, depths = self.pixels(points)
         size = torch.tensor([self.width, self.height])
         return (depths > 0) & ((pixels >= 0) & (pixels < size)).all(1)
@@ -299,7 +299,7 @@ class Cameras:
         return tuple(camera.name for camera in self._cameras)
 
     def select(self, chosen: Callable[[Camera], bool] | Iterable[str | int]) -> Cameras:
-        """Return the cameras for which ``chosen`` is true, or those that it lists by name or index, in its order."""
+        """Return the cameras for which ``chosen`` is true, or the ones that it lists by name or index, in its order."""
         if callable(chosen):
             return Cameras(camera for camera in self._cameras if chosen(camera))
         return Cameras(self[key] for key in chosen)
@@ -310,7 +310,7 @@ class Cameras:
 
 
 def _whole_names(camera: Camera) -> tuple[str, ...]:
-    """Return the name, and without its extension."""
+    """Return the name with and without its extension."""
     name = unicodedata.normalize("NFC", camera.name)
     return name, os.path.splitext(name)[0]
 

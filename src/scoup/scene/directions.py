@@ -1,4 +1,4 @@
-"""Vectors of which only the direction counts: embeddings of regions and of texts."""
+"""Directions: embeddings of regions and of texts, whose norms do not matter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
     if not rows.is_floating_point():
         raise InputError(f"{what} must be floating-point numbers, got {rows.dtype}")
     rows = rows.float()
-    # A sum is not finite if a value is not; only then is it worth to look at each.
+    # A value that is not finite makes the sum not finite: check single values only then.
     if not torch.isfinite(rows.abs().sum()):
         bad = ~torch.isfinite(rows).all(1)
         if bad.any():
