@@ -64,7 +64,7 @@ def heat_amounts(relevancy: np.ndarray, span: tuple[float, float]) -> NDArray[np
 
 
 def heat_opacity(amounts: np.ndarray) -> NDArray[np.float64]:
-    """Return how much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
+    """Return the opacity of the heat, 0..1: none at the low end, so that the picture stays clear there."""
     share = ((amounts - 0.08) / 0.5).clip(0, 1)
     return share * share * (3 - 2 * share)
 

@@ -44,7 +44,7 @@ def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tupl
 
 
 def _beginning(text: str, width: int, face: Font) -> str:
-    """Return as much of the text as fits one line, at least one letter."""
+    """Return the longest beginning of the text that fits one line, at least one letter."""
     if text_width(text, face) <= width:
         return text
     end = 1

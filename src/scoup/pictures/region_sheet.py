@@ -45,7 +45,7 @@ def regions_sheet(
 
 
 def _which(written: int, count: int) -> str:
-    """Return a sentence about which regions have their number on them, if not all."""
+    """Return a remark on the regions without a number, if there are any."""
     if written == count:
         return ""
     return f", numbers on the {written} with room" if written else ", no room for numbers"
