@@ -34,7 +34,7 @@ class ConceptModel(Protocol):
         ...
 
     def detect(self, image: NDArray[np.uint8], texts: Sequence[str]) -> Detections:
-        """Return the places of an image [H, W, 3] that texts may mean, each with a score."""
+        """Detect texts in an image [H, W, 3]."""
         ...
 
 
@@ -53,13 +53,12 @@ class _Transformer:
         return {"concepts": self.name, "concepts_revision": self.revision}
 
     def tokens(self, texts: Sequence[str], length: int) -> dict[str, Tensor]:
-        """Return ids and mask of texts, padded to a length."""
         options: dict[str, Any] = {"padding": "max_length", "truncation": True, "max_length": length}
         encoded = self.tokenizer(list(texts), return_tensors="pt", **options)
         return {name: encoded[name].to(self.model.device) for name in ("input_ids", "attention_mask")}
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return what was made for the last key, which is that of all photographs of a scene."""
+        """Return the cached value of the last key: all photographs of a scene share one."""
         if key not in self.known:
             self.known.clear()
             self.known[key] = make()
@@ -120,7 +119,7 @@ class DinoConcepts(_Transformer):
         return Detections(rows, scores, boxes, (width, height))
 
     def _captions(self, texts: Sequence[str]) -> Iterator[tuple[int, list[int], list[tuple[int, int]]]]:
-        """Yield captions "[CLS] one . other . [SEP]": position of the first text, ids, and where each text is."""
+        """Yield captions "[CLS] one . other . [SEP]": position of the first text, ids, and span of each text."""
         start, end = self.tokenizer.cls_token_id, self.tokenizer.sep_token_id
         stop = self.tokenizer.convert_tokens_to_ids(".")
         room = int(self.model.config.max_text_len)
@@ -238,7 +237,7 @@ CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
 
 
 def open_concepts(name: str, device: torch.device | str = "cpu") -> ConceptModel:
-    """Open a model with words, by a name of ``CONCEPTS``.
+    """Open an open-vocabulary detector, by a name of ``CONCEPTS``.
 
     Raises:
         UnknownNameError, ScoupError: there is no such model, or it cannot be loaded.

@@ -83,7 +83,7 @@ class ModelRequest:
 
 @dataclass(frozen=True)
 class ModelIdentity:
-    """What the output of a model depends on, as far as it can be told without reading the weights."""
+    """Identity of a model, as far as it can be told without reading the weights."""
 
     name: str  # the hub id, or the last part of the folder
     revision: str  # the commit of a hub model; "" if unknown
@@ -124,11 +124,11 @@ class Pretrained:
 
     @property
     def commit(self) -> str:
-        """The commit of a hub model, or the requested revision; "" if unknown."""
+        """Return the commit of a hub model, or the requested revision; "" if unknown."""
         return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
 
     def identity(self) -> ModelIdentity:
-        """Return what the model's output depends on."""
+        """Return the identity of the model."""
         package = f"transformers {self.transformers.__version__}"
         if os.path.isdir(self.model_id):
             name = os.path.basename(os.path.realpath(self.model_id))
@@ -230,7 +230,7 @@ def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Lo
 
 
 def open_clip_identity(request: ModelRequest) -> ModelIdentity:
-    """Return what the output of a model of open_clip depends on; its weights may be a file."""
+    """Return the identity of a model of open_clip, whose weights may be a file."""
     files = file_states(_open_clip_parts(request)[1])
     package = f"open_clip {getattr(request.package('open_clip', 'open-clip'), '__version__', '')}"
     return ModelIdentity(request.name, "", package, files)

@@ -43,7 +43,7 @@ _SHOWN = 50  # names in the picture of a notebook
 
 
 Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
-"""What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model id."""
+"""Source of vectors of texts: an encoder, a dict of name -> vector, a word table's file, or a model id."""
 
 
 class TextEncoder:
