@@ -270,7 +270,7 @@ def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
         if isinstance(error, ScoupError):
             raise
         final = _final(error.filename, output, temporary)
-        # A disk is full for those that write only, even where the file named is the one that was copied.
+        # Only a write finds a disk full, even if the error names the file that was copied.
         if final is None and error.errno in NO_SPACE:
             final = output
         if final is None:

@@ -81,7 +81,7 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
                 if entry.name in entries:
                     raise ValueError(f"the name {entry.name!r} is taken")
                 entries[entry.name] = entry
-            except Exception as error:  # another package's code raises what it likes
+            except Exception as error:  # code of other packages may raise anything
                 package = point.dist.name if point.dist is not None else "unknown"
                 warn_once(
                     f"the package {package!r}: {point.name!r} of its {self.group} is left out "
