@@ -190,10 +190,10 @@ def where_cameras_are(path: Path) -> str:
     """Return the remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
     above = list(path.absolute().parents)[:3]
     if not path.is_absolute():
-        above = [Path(os.path.relpath(place)) for place in above]
+        above = [Path(os.path.relpath(folder)) for folder in above]
     below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
     for places, what in ((above, "use the scene it is in"), (below, "use one of the scenes in it")):
-        scenes = [str(place) for place in places if has_cameras(place)][: 1 if places is above else 3]
+        scenes = [str(folder) for folder in places if has_cameras(folder)][: 1 if places is above else 3]
         if scenes:
             return f"{what}: {', '.join(scenes)}"
     if files := sorted(str(file) for file in path.glob("*transforms*.json"))[:3]:

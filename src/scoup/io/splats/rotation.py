@@ -44,12 +44,12 @@ def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         return sh
     directions, most = spread_directions(64), round(sh.shape[1] ** 0.5) - 1
     before, after = (
-        sh_basis(torch.from_numpy(each), most).numpy() for each in (directions @ rotation, directions)
+        sh_basis(torch.from_numpy(vectors), most).numpy() for vectors in (directions @ rotation, directions)
     )
     turned = [sh[:, :1].astype(np.float32)]
     for degree in range(1, most + 1):
-        part = slice(degree * degree - 1, (degree + 1) ** 2 - 1)  # without the constant one
-        matrix = np.linalg.lstsq(after[:, part], before[:, part], rcond=None)[0]
+        columns = slice(degree * degree - 1, (degree + 1) ** 2 - 1)  # without the constant one
+        matrix = np.linalg.lstsq(after[:, columns], before[:, columns], rcond=None)[0]
         coefficients = sh[:, degree * degree : (degree + 1) ** 2].astype(np.float64)
         with np.errstate(all="ignore"):
             turned.append(np.einsum("ij,njc->nic", matrix, coefficients).astype(np.float32))
