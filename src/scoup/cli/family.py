@@ -33,6 +33,6 @@ class Family:
         return _imported(self.others)(name) if self.others and name[:1].isalnum() else None
 
 
-def _imported(place: str) -> Any:
-    module, _, attribute = place.partition(":")
+def _imported(target: str) -> Any:
+    module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)

@@ -120,8 +120,8 @@ def _report(
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
-        console.say(f"{one['name']}: {found if one['present'] else answer.remark()}")
+        summary = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
+        console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:
         console.say(f"{out / name}")

@@ -250,7 +250,7 @@ class Query:
 def _sees_nothing(view: FieldView, answers: list[ViewAnswer]) -> bool:
     """True if nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
-    return all((each.heat == 0.5).all() for each in answers) and not view.is_visible()
+    return all((answer.heat == 0.5).all() for answer in answers) and not view.is_visible()
 
 
 def _sentence(record: dict[str, Any]) -> str:

@@ -123,10 +123,10 @@ class CameraOptions:
         if "all" in (self.camera or (default,)):
             return list(cameras)
         try:
-            found = [cameras[name] for name in self.camera] or [cameras[0]]
+            chosen = [cameras[name] for name in self.camera] or [cameras[0]]
         except UnknownNameError as error:
             raise UnknownNameError("camera", error.name, cameras.names, str(self.scene or path)) from error
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(chosen))
 
     def check_seen(self, path: Path, blind: list[Camera], count: int) -> None:
         """Warn of the cameras, among ``count``, in which nothing of the field is visible.

@@ -62,15 +62,15 @@ class MakeViews:
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
         from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source, turned, turned_direction
 
-        found = splat_source(self.splat)
-        source = found.path
+        splat = splat_source(self.splat)
+        source = splat.path
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.common.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up
-        if view.keep_axes and (axis := found.kind.axis) is not None:
+        if view.keep_axes and (axis := splat.kind.axis) is not None:
             up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
         how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
         with console.progress() as progress:
