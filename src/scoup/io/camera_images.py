@@ -1,4 +1,4 @@
-"""The photographs of cameras: which folder, which file, which size."""
+"""The photographs of cameras: their folder, files and sizes."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def attach_images(
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
 ) -> tuple[list[tuple[str, Path, Path | None]], str]:
-    """Return the names of cameras that have image files, with these files, of which only the headers are read, and
-    their masks; and which files of others were looked for, "" if there are none."""
+    """Return name, image file and mask of each camera that has an image; and the files that others lack, in words, ""
+    if there are none. Only headers of images are read."""
     folder, factor = _choose_folder(roots, images, None)
     missing: list[str] = []
     files: list[tuple[str, Path, Path | None]] = []
@@ -114,7 +114,7 @@ def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
 def _choose_folder(
     roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
 ) -> tuple[ImageFolder | None, int]:
-    """Return the images folder, and by how much its images are smaller than the originals."""
+    """Return the images folder, and the factor by which its images are reduced."""
     if images is not None:
         for candidate in (Path(images), *(root / images for root in roots)):
             if candidate.is_dir():

@@ -1,4 +1,4 @@
-"""COCO's JSON of annotated images: what is in which pixels, with boxes (cocodataset.org, "Data format")."""
+"""COCO's JSON of annotated images: masks and boxes of categories (cocodataset.org, "Data format")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model with words found in photographs: a folder with ``concepts.json`` and one JSON file per photograph."""
+"""Detections of texts in photographs: a folder with ``concepts.json`` and one JSON file per photograph."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class DetectionStore:
         return Detections(texts, rows[:, 1].float(), rows[:, 2:].float(), (width, height))
 
     def _record(self, name: str) -> JsonNode | None:
-        """Return what is stored of a photograph, if it was made with these texts and this model."""
+        """Return the record of a photograph, if it was made with these texts and this model."""
         if not self._file(name).is_file():
             return None
         record = read_json(self._file(name), "detections", _REMEDY)

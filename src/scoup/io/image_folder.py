@@ -1,4 +1,4 @@
-"""A folder of image files: which file belongs to which name. No file is opened."""
+"""A folder of image files, found by name. No file is opened."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def _is_bare_pickle(path: Path) -> bool:
 
 
 def _check_names(pickles: list[bytes]) -> None:
-    """Refuse what torch's restricted loader would call with any number, and which takes that much memory."""
+    """Refuse names that torch's restricted loader would call with any number, and so allocate any memory."""
     for content in pickles:
         for code, name, _ in pickletools.genops(content):
             if code.name == "GLOBAL" and _TAKES_MEMORY.fullmatch(str(name)):

@@ -1,4 +1,4 @@
-"""Folders that trainers write: nerfstudio's runs and gsplat's results. Which data they were trained on.
+"""Folders that trainers write (nerfstudio's runs, gsplat's results), and the data that they were trained on.
 
 Their configurations are YAML with tags that name Python objects. They are never loaded: the few lines that are needed
 are read as text.
@@ -113,13 +113,13 @@ def _plain(text: str, key: str) -> str | None:
 
 
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
-    """Return where the data that a configuration names are: as named, or below a folder above the run."""
+    """Locate the data that a configuration names: as named, or below a folder above the run."""
     path = Path(named.replace("\\", "/"))
     if _holds_cameras(path):
         return path
     above = [run.absolute(), *list(run.absolute().parents)[:_ABOVE]]
     parts = [name for name in path.parts if name not in (path.anchor, "..")][-_MOST_PARTS:]
-    # The longest end of the named path that is there, with cameras in it: data are moved with their last folders.
+    # The longest existing end of the named path with cameras in it: data are moved with their last folders.
     for start in range(len(parts)):
         for folder in above:
             candidate = folder.joinpath(*parts[start:])

@@ -1,4 +1,4 @@
-"""``regions.json``: how a folder of region features was made, and of which photographs."""
+"""``regions.json``: settings and photographs of a folder of region features."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of splat formats, and which of them a path has."""
+"""The table of splat formats, and the format of a path."""
 
 from __future__ import annotations
 

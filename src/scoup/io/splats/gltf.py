@@ -29,7 +29,7 @@ from scoup.scene import Gaussians
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
-# What they concern are meshes beside the Gaussians.
+# Extensions of meshes beside the Gaussians.
 _OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 # Bytes of Gaussians for a byte of the file, plain and as SPZ; beyond it primitives repeat accessors to no end.
 _REPEATS, _REPEATS_PACKED = 32, 500
@@ -167,7 +167,6 @@ def _own_translation(node: JsonNode) -> np.ndarray | None:
 
 
 def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
-    """Return the values of a primitive."""
     if primitive.get("mode").value != 0:
         raise document.error("its Gaussians are not points (mode 0)", "export it again")
     splats = primitive.get("extensions").get(SPLATS)

@@ -71,7 +71,7 @@ class GltfDocument:
 
     @property
     def data_bytes(self) -> int:
-        """Return how many bytes of buffers were opened so far."""
+        """Return the bytes of buffers opened so far."""
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
     def column(self, index: JsonNode, kind: str, plain: bool = False) -> np.ndarray:

@@ -17,8 +17,8 @@ def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which component of unit quaternions [N, 4] is the largest in size [N], and the others [N, 3], in their
-    order and with the sign that makes the largest positive."""
+    """Return the index [N] of the largest component by size of unit quaternions [N, 4], and the others [N, 3] in order,
+    with the sign that makes the largest positive."""
     which = np.abs(quats).argmax(1)
     is_largest = np.arange(4) == which[:, None]
     positive = quats * np.where(quats[is_largest] < 0, -1.0, 1.0)[:, None]

@@ -42,7 +42,7 @@ class SpzHeader:
     degree: int  # of the spherical harmonics, 0 to 4
     fraction_bits: int  # bits after the binary point of a coordinate
     antialiased: bool = False  # rasterised with compensated opacities
-    axes: str = "RUB"  # where x, y, z point: left or right, up or down, front or back
+    axes: str = "RUB"  # directions of x, y, z: left or right, up or down, front or back
 
     @property
     def row_sizes(self) -> dict[str, int]:
@@ -139,7 +139,7 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
 
 
 def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
-    """Return the header with what the records of extensions say; those that are not known get a warning."""
+    """Return the header with the records of extensions applied; unknown ones get a warning."""
     offset = 0
     while offset < len(records):
         kind, size = _RECORD.unpack_from(records.ljust(offset + _RECORD.size, b"\0"), offset)
@@ -164,7 +164,7 @@ def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
 
 
 def _axes(number: int) -> str:
-    """Return where x, y, z point, by a number of the extension."""
+    """Return the directions of x, y, z for a number of the extension."""
     bits = (number or 4) - 1  # 0: not said
     x, height, depth = "LR"[bits & 1], "DU"[bits >> 1 & 1], "BF"[bits >> 2 & 1]
     return f"{x}{'FB'[bits >> 2 & 1]}{height}" if bits & 8 else f"{x}{height}{depth}"
