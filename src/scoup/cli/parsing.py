@@ -32,7 +32,7 @@ _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining 
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
-    """The verb that the arguments name, with its options.
+    """Return the verb that the arguments name, with its options.
 
     Raises:
         SystemExit: after printing help, or why the arguments cannot be parsed.
@@ -142,7 +142,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _wrapped(text: str) -> str:
-    """The text in lines that fit the terminal."""
+    """Return the text in lines that fit the terminal."""
     width = min(shutil.get_terminal_size().columns, _WIDEST)
     how = {"initial_indent": _MARGIN, "subsequent_indent": _MARGIN, "break_on_hyphens": False}
     return "\n".join(

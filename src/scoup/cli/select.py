@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeOptions:
-    """How the selection is changed before it is used."""
+    """Changes to the selection before it is used."""
 
     largest: Flag = False
     """Keep only the largest connected component of the selection."""
@@ -133,7 +133,7 @@ class Select:
         return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
 
     def _rgb(self) -> tuple[float, float, float]:
-        """The colour of --color, 0 to 1."""
+        """Return the colour of --color, 0 to 1."""
         if not re.fullmatch("#?[0-9a-fA-F]{6}", self.color):
             raise InputError(f"--color {self.color}: is not a colour; expected #rrggbb, for example #ff5c28")
         red, green, blue = bytes.fromhex(self.color[-6:])
@@ -207,7 +207,6 @@ class Select:
         )
 
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
-        """Report the selection, its place and the files."""
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}
         for term in whole.parts:
             share = f"{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"

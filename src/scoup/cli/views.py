@@ -15,7 +15,7 @@ from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, Wr
 
 @dataclass(frozen=True, kw_only=True)
 class OwnViews:
-    """Which views are made."""
+    """Settings of the views."""
 
     views: OptionalInteger = None
     """Number of views. Default: as many as still show something new."""
@@ -91,8 +91,8 @@ def is_splat(path: Path) -> bool:
 
 
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
-    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` those that are not
-    whole are replaced."""
+    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` incomplete
+    ones are replaced."""
     from scoup.extract import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():
