@@ -63,8 +63,8 @@ def serves(name: str, device: torch.device) -> bool:
 def require_backend(name: str, device: torch.device) -> None:
     """Refuse a backend that cannot be used for tensors on a device."""
     if not serves(name, device):
-        place = "a GPU" if name == "triton" else "a CPU"
-        raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")
+        hardware = "a GPU" if name == "triton" else "a CPU"
+        raise InputError(f"the backend {name!r} serves tensors on {hardware}, these are on {device}")
     reason = None
     if name == "native" and native_core() is None:
         reason = missing_reason()
@@ -90,8 +90,8 @@ def triton_problem(device: torch.device) -> str | None:
     if device.type == "cuda" and torch.version.hip is None:
         capability = torch.cuda.get_device_capability(device)
         if capability < LEAST_CAPABILITY:
-            found, needed = (".".join(map(str, numbers)) for numbers in (capability, LEAST_CAPABILITY))
-            return f"{device} has compute capability {found}, the kernels need {needed} (Ampere) or newer"
+            actual, needed = (".".join(map(str, numbers)) for numbers in (capability, LEAST_CAPABILITY))
+            return f"{device} has compute capability {actual}, the kernels need {needed} (Ampere) or newer"
     return None
 
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 Entry = TypeVar("Entry")
 
 NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
-"""What the system says only where something is written: the disk, the quota or the largest size of a file is full."""
+"""Errors of the system for a write without space: the disk, the quota or the largest file size is full."""
 
 
 class ScoupError(Exception):

@@ -33,8 +33,8 @@ class JsonNode:
 
     def get(self, key: str) -> JsonNode:
         """Return the value of a key of this object; its own value is None if the key is missing."""
-        place = f"{self.place}.{key}" if self.place else key
-        return replace(self, value=self.object().get(key), place=place)
+        location = f"{self.place}.{key}" if self.place else key
+        return replace(self, value=self.object().get(key), place=location)
 
     def items(self) -> list[JsonNode]:
         """Return the items of this list."""

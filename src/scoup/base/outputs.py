@@ -52,13 +52,13 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
 
 def make_folder(folder: Path, output: Path) -> None:
     """Make the folder of an output, with its parents."""
-    missing = [place for place in (folder, *folder.parents) if not os.path.exists(place)]
+    missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError.of(output, error) from error
-    for place in missing:
-        _flush_names(place.parent)
+    for path in missing:
+        _flush_names(path.parent)
 
 
 @contextmanager
@@ -270,7 +270,7 @@ def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
         if isinstance(error, ScoupError):
             raise
         final = _final(error.filename, output, temporary)
-        # A disk is full for those that write only, even where the file named is the one that was copied.
+        # Only a write finds a disk full, even if the error names the file that was copied.
         if final is None and error.errno in NO_SPACE:
             final = output
         if final is None:
@@ -341,14 +341,14 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
     """
     check_outputs(folder, files, overwrite)
     # In the nearest existing folder: on the same file system, moving is only renaming.
-    home = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
+    home = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.is_dir())
     work = home / slug(" ".join([folder.name, *files[:1]]))
     with temporary_output(work, overwrite=True) as hidden, refusals_named(folder, hidden):
         hidden.mkdir()
         yield hidden
-        found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
-        first = [file for file in files if file in found]
-        _move(hidden, folder, [*first, *(file for file in found if file not in files)], overwrite)
+        written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
+        first = [file for file in files if file in written]
+        _move(hidden, folder, [*first, *(file for file in written if file not in files)], overwrite)
 
 
 def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:

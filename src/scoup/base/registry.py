@@ -41,12 +41,12 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
         what: one of them, for messages.
         group: of the entry points.
         kind: class of the entries.
-        own: those of the project.
+        built_in: entries of the project.
     """
 
-    def __init__(self, what: str, group: str, kind: type[EntryOf], own: Iterable[EntryOf]) -> None:
+    def __init__(self, what: str, group: str, kind: type[EntryOf], built_in: Iterable[EntryOf]) -> None:
         self.what, self.group, self.kind = what, group, kind
-        self._own = {entry.name: entry for entry in own}
+        self._own = {entry.name: entry for entry in built_in}
 
     def __getitem__(self, name: str) -> EntryOf:
         if name in self._own:
@@ -81,7 +81,7 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
                 if entry.name in entries:
                     raise ValueError(f"the name {entry.name!r} is taken")
                 entries[entry.name] = entry
-            except Exception as error:  # another package's code raises what it likes
+            except Exception as error:  # code of other packages may raise anything
                 package = point.dist.name if point.dist is not None else "unknown"
                 warn_once(
                     f"the package {package!r}: {point.name!r} of its {self.group} is left out "

@@ -54,7 +54,7 @@ def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         return np.zeros(shape, dtype)
     with temporary_file() as stream:
         try:
-            # Room is taken now: to write into a mapping that finds none would kill the process.
+            # Allocate the space now: writing into a mapping on a full disk kills the process.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(stream.fileno(), 0, size)
             else:

@@ -68,10 +68,10 @@ def printable(text: str) -> str:
 
 def slug(text: str) -> str:
     """Return a file name for a text: letters, digits, underscores and dashes."""
-    kept = "".join(char if char.isalnum() or char == "_" else "-" for char in text.lower()).strip("-")
-    while "--" in kept:
-        kept = kept.replace("--", "-")
-    return kept.encode("utf-8", "ignore")[:_MOST_BYTES].decode("utf-8", "ignore") or "text"
+    name = "".join(char if char.isalnum() or char == "_" else "-" for char in text.lower()).strip("-")
+    while "--" in name:
+        name = name.replace("--", "-")
+    return name.encode("utf-8", "ignore")[:_MOST_BYTES].decode("utf-8", "ignore") or "text"
 
 
 def unique_slugs(texts: Iterable[str]) -> list[str]:
@@ -104,7 +104,7 @@ def _value(value: Any) -> str:
     shape, kind = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape is not None and kind is not None:
         return f"{str(kind).removeprefix('torch.')} {list(shape)}"
-    if isinstance(value, (tuple, list)) and any(hasattr(each, "shape") for each in value):
+    if isinstance(value, (tuple, list)) and any(hasattr(item, "shape") for item in value):
         return "[" + ", ".join(map(_value, value)) + "]"
     text = repr(value)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

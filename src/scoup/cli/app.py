@@ -85,7 +85,7 @@ def run(arguments: list[str]) -> int:
 
 
 def entry() -> None:
-    """The console script."""
+    """Run the console script."""
     stop_on_signals()
     from scoup.cli.console import silence
 

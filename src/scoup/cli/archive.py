@@ -107,20 +107,20 @@ class SearchArchive:
         if page is not None:
             check_output(page, overwrite)
         question = str(self.search.image or self.question)
-        found = self._found(archive)
-        counts = Counter(each.scan for each in found)
-        for each in found:
-            score = "" if each.score is None else f"{each.score:.2f} "
-            console.say(f"{score}{each.text}: {each.describe()}")
-        total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
-        console.say(f"{question}: {total if found else 'nothing found'}")
+        things = self._found(archive)
+        counts = Counter(thing.scan for thing in things)
+        for thing in things:
+            score = "" if thing.score is None else f"{thing.score:.2f} "
+            console.say(f"{score}{thing.text}: {thing.describe()}")
+        total = f"{counted(len(things), 'thing')} in {counted(len(counts), 'scan')}"
+        console.say(f"{question}: {total if things else 'nothing found'}")
         if page is not None:
             from scoup.archive import results_page
 
-            write_text(page, results_page(question, found, page), overwrite)
+            write_text(page, results_page(question, things, page), overwrite)
             console.say(f"{page}: written")
         console.result(
-            {"question": question, "scans": dict(counts), "things": [each.to_dict() for each in found]}
+            {"question": question, "scans": dict(counts), "things": [thing.to_dict() for thing in things]}
         )
 
     def _found(self, archive: Archive) -> list[FoundThing]:
@@ -153,12 +153,12 @@ def _list(archive: Archive, console: Console, in_full: bool) -> None:
     records, counts = archive.scans(), archive.counts()
     if in_full:
         for name, record in records.items():
-            own = "".join(f", {key} = {value}" for key, value in record.columns.items())
-            console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{own}")
+            columns = "".join(f", {key} = {value}" for key, value in record.columns.items())
+            console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{columns}")
     things = counted(sum(counts.values()), "thing")
     console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {things}")
     scans = [
-        {"scan": name, "things": counts[name], "field": each.field_path, "columns": dict(each.columns)}
-        for name, each in records.items()
+        {"scan": name, "things": counts[name], "field": record.field_path, "columns": dict(record.columns)}
+        for name, record in records.items()
     ]
     console.result({"archive": archive.folder, "scans": scans})

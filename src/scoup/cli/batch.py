@@ -113,7 +113,7 @@ class Batch:
         return folders
 
     def _built(self, names: list[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield name and record of each scan as it is done; of those that are there, what was recorded before."""
+        """Yield name and record of each scan as it is done; existing scans keep their record."""
         report = self.out / REPORT
         before = _parsed(report.read_text("utf-8", "replace")).get("scans", {}) if report.exists() else {}
         missing: dict[str, list[str]] = {}

@@ -202,7 +202,6 @@ class Build:
         return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
 
     def _load(self, console: Console) -> _Loaded:
-        """Read the scene."""
         from scoup.io import detections_of, find_detections, find_splat, load_gaussians
         from scoup.uplift import embedding_source
 
@@ -224,7 +223,7 @@ class Build:
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
 
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
-        """The sums named, or those in a temporary folder."""
+        """Return the sums named, or new ones in a temporary folder."""
         from scoup.uplift import RegionSums
 
         if self.region_sums.sums is not None:
@@ -257,7 +256,7 @@ class Build:
 
 
 def _suggestion(field: Field, out: Path) -> str:
-    """What to do with a field: texts are asked only where it names what encodes them."""
+    """Return the next command for a field: a query only if the field names a text encoder."""
     from scoup.models import COLORS
 
     if field.info.words is None and field.embedding_model in ("", COLORS):
@@ -266,6 +265,6 @@ def _suggestion(field: Field, out: Path) -> str:
 
 
 def _usual_model(regions: Regions) -> str:
-    """LangSplat's CLIP model for features that do not name theirs; "" where it cannot have made them."""
+    """Return LangSplat's CLIP model for features that do not name theirs; "" where it cannot have made them."""
     rows = regions.load_embeddings(regions.view_names[0], regions.levels[0])
     return CLIP_MODEL if rows.shape[1] == CLIP_DIM else ""

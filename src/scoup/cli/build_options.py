@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class BuildOptions:
-    """How a field is made."""
+    """Settings of a field."""
 
     model: OptionalText = None
     """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
@@ -36,7 +36,7 @@ class BuildOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CodingOptions:
-    """How embeddings are coded."""
+    """Settings of the codes of embeddings."""
 
     n_atoms: OptionalInteger = None
     """Atoms in the codebook of each level (L). Default: 128; paper: 64."""
@@ -49,7 +49,7 @@ class CodingOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SumOptions:
-    """How region sums are made, and where they are kept."""
+    """Settings and folder of region sums."""
 
     scale: Annotated[float | None, arg(metavar="NUMBER")] = None
     """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1. Default: the
@@ -156,7 +156,7 @@ def report_field(
 
 
 def _peak_gpu_memory(device: str) -> int | None:
-    """Most bytes that tensors took on a GPU so far; None for the CPU."""
+    """Return the most bytes that tensors took on a GPU so far; None for the CPU."""
     if device == "cpu":
         return None
     import torch

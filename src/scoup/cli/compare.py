@@ -55,18 +55,18 @@ class CompareCaptures:
         old = opening.open(self.old, device)
         new = FieldOptions(gaussians=opening.new_gaussians).open(self.new, device, "--new-gaussians")
         new = new.with_encoder(old.encoder)
-        found = compare(old, new, read_words(self.words.words), transform)
+        comparison = compare(old, new, read_words(self.words.words), transform)
         old.encoder.close()
         with staged(out, COMPARISON_FILES, self.common.overwrite) as hidden, console.progress() as progress:
-            save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
-        for change in found.changes:
+            save_comparison(old, new, comparison, hidden, self.metres_per_unit, progress)
+        for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
             text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
             console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
-        changed = sum(change.kind != "unseen" for change in found.changes)
+        changed = sum(change.kind != "unseen" for change in comparison.changes)
         console.say(
-            f"{out}: {counted(changed, 'change')} among {found.counts[0]} and {found.counts[1]} objects"
+            f"{out}: {counted(changed, 'change')} among {comparison.counts[0]} and {comparison.counts[1]} objects"
         )
-        console.result({"out": out, "files": COMPARISON_FILES, **found.to_dict(self.metres_per_unit)})
+        console.result({"out": out, "files": COMPARISON_FILES, **comparison.to_dict(self.metres_per_unit)})

@@ -28,7 +28,7 @@ from scoup.cli.options import Common
 from scoup.cli.stop import exit_code
 
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
-"""How messages of the library name an argument, alone or with a value."""
+"""An argument in messages of the library, alone or with a value."""
 _OPTIONS = {"count": "--views", "distorted": "--undistort", "encoder": "--text", "words": "--text"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
@@ -84,7 +84,7 @@ class Console:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """A progress callback that draws bars on a terminal and is silent elsewhere."""
+        """Yield a progress callback that draws bars on a terminal and is silent elsewhere."""
         if self.common.quiet or self.common.as_json or not sys.stderr.isatty():
             yield no_progress
             return
@@ -165,7 +165,7 @@ def command(*words: object) -> str:
 
 
 def with_options(message: str) -> str:
-    """The message with options in place of arguments: `check_fit=False` becomes --no-check-fit."""
+    """Return the message with options in place of arguments: `check_fit=False` becomes --no-check-fit."""
     return _ARGUMENT.sub(_option, message)
 
 

@@ -183,7 +183,7 @@ class Convert:
         return None if self.regions.autoencoder is None else read_autoencoder(self.regions.autoencoder)
 
     def _encoder(self) -> dict[str, Any]:
-        """The model and word table that the field is to name."""
+        """Return the model and the word table that the field will name."""
         from scoup.models import check_model, is_table
 
         if self.model is None:

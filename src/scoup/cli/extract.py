@@ -32,7 +32,7 @@ MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, a
 
 @dataclass(frozen=True, kw_only=True)
 class PhotographOptions:
-    """Which photographs are taken."""
+    """Choice of photographs."""
 
     views: OptionalText = None
     """How many photographs to extract: a number, more beside those chosen before (+40), or all. Default: up to 24 all;
@@ -60,7 +60,7 @@ class ModelOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ConceptOptions:
-    """Words that are looked for."""
+    """Words to detect."""
 
     concepts: OptionalText = None
     """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
@@ -71,7 +71,7 @@ class ConceptOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MaskOptions:
-    """How masks are made."""
+    """Options of the masks."""
 
     preset: Annotated[Literal["langsplat", "fast"] | None, arg()] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
@@ -198,7 +198,7 @@ class Extract:
     def _choose(
         self, console: Console, photographs: Sequence[Photograph], out: Path
     ) -> list[Photograph] | None:
-        """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
+        """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
         from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
         from scoup.io import RegionStore, find_splat, read_manifest
 
@@ -234,7 +234,6 @@ class Extract:
         return chosen
 
     def _words(self) -> tuple[str, ...]:
-        """The words of --concepts."""
         from scoup.models import EVERYDAY_WORDS
         from scoup.view import read_words
 
@@ -245,7 +244,7 @@ class Extract:
     def _look_for_words(
         self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
     ) -> dict[str, Any]:
-        """Store where a model finds words in the photographs; returns what the result says of it."""
+        """Store detections of words in the photographs; return their entry in the result."""
         from scoup.extract import extract_concepts
         from scoup.io import CONCEPTS_FOLDER
         from scoup.models import open_concepts
@@ -300,7 +299,7 @@ def _list_models(console: Console) -> None:
 
 @contextmanager
 def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
-    """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
+    """Yield a progress callback that also reports resumed and interrupted work; ``out`` is locked."""
     started, before = False, console.kept()
 
     def report(stage: str, done: int, total: int) -> None:

@@ -27,12 +27,12 @@ class Family:
         return _imported(self.verbs[name])
 
     def find(self, name: str) -> type | Family | None:
-        """Return what a name means; None if nothing."""
+        """Return the verb or family of a name; None if there is none."""
         if name in self.verbs:
             return self.load(name)
         return _imported(self.others)(name) if self.others and name[:1].isalnum() else None
 
 
-def _imported(place: str) -> Any:
-    module, _, attribute = place.partition(":")
+def _imported(target: str) -> Any:
+    module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)

@@ -100,7 +100,7 @@ _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:
-    """A record for people: one line an entry, the entries of entries indented."""
+    """Yield a record for people: one line per entry, nested entries indented."""
     for key, value in record.items():
         name = f"{indent}{key.replace('_', ' ')}:"
         if isinstance(value, dict) and any(isinstance(item, (dict, list, str)) for item in value.values()):

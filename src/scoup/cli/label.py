@@ -91,7 +91,7 @@ class Label:
         _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
-        """The words of the command line and of the list, each once."""
+        """Return the words of the command line and of the list, each once."""
         from scoup.view import read_words
 
         words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
@@ -99,7 +99,7 @@ class Label:
         return words
 
     def _cameras(self, field: LanguageField) -> list[Camera]:
-        """The cameras named; by default all, or none if the field contains none and no output needs them."""
+        """Return the cameras named; by default all, or none if the field has none and no output needs them."""
         wanted = set(self.outputs) & {"maps", "sheet"}
         if not wanted or (
             self.outputs == USUAL and not self.view.camera and self.view.scene is None and not field.cameras
@@ -111,7 +111,6 @@ class Label:
 def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
-    """Report the Gaussians of each word, and the files."""
     from scoup.query import ExpressionAnswer, numbered_things
 
     record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
@@ -120,8 +119,8 @@ def _report(
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
-        console.say(f"{one['name']}: {found if one['present'] else answer.remark()}")
+        summary = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
+        console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:
         console.say(f"{out / name}")

@@ -16,7 +16,7 @@ CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """LangSplat's, which verbs assume where no other is named."""
 
 arg = partial(tyro.conf.arg, help_behavior_hint="")
-"""How an option is shown in the help: without its default, which its text gives in words."""
+"""An option shown in the help without its default, which its text gives in words."""
 
 Flag = Annotated[bool, arg()]
 """A switch that is off by default."""
@@ -34,7 +34,7 @@ Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT
 
 
 def titled(title: str) -> Any:
-    """Return what gives a group of options, a nested dataclass, another title in the help than its name."""
+    """Return the setting that gives a group of options, a nested dataclass, a title in the help."""
     return tyro.conf.arg(name=title)
 
 

@@ -32,7 +32,7 @@ _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining 
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
-    """The verb that the arguments name, with its options.
+    """Return the verb that the arguments name, with its options.
 
     Raises:
         SystemExit: after printing help, or why the arguments cannot be parsed.
@@ -114,14 +114,14 @@ def _without_none(info: PrimitiveTypeInfo) -> Any:
 
 def field_texts(kind: type) -> dict[str, str]:
     """Return the text under each field of a dataclass and of its bases, in one line."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         known = _classes(base.__module__) if is_dataclass(base) else {}
         for field, text in pairwise(known[base.__name__].body if base.__name__ in known else ()):
             match field, text:
                 case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(said)))):
-                    found[name] = " ".join(said.split())
-    return found
+                    texts[name] = " ".join(said.split())
+    return texts
 
 
 @cache
@@ -137,15 +137,15 @@ def _text(verb: type | Family) -> str:
 
 def _paragraphs(text: str) -> list[str]:
     """Join the lines of each paragraph, except indented ones."""
-    parts = inspect.cleandoc(text).split("\n\n")
-    return [part if part.startswith(" ") else " ".join(part.split()) for part in parts]
+    blocks = inspect.cleandoc(text).split("\n\n")
+    return [block if block.startswith(" ") else " ".join(block.split()) for block in blocks]
 
 
 def _wrapped(text: str) -> str:
-    """The text in lines that fit the terminal."""
+    """Return the text in lines that fit the terminal."""
     width = min(shutil.get_terminal_size().columns, _WIDEST)
     how = {"initial_indent": _MARGIN, "subsequent_indent": _MARGIN, "break_on_hyphens": False}
     return "\n".join(
-        textwrap.indent(part, _MARGIN) if part.startswith(" ") else textwrap.fill(part, width, **how)
-        for part in _paragraphs(text)
+        textwrap.indent(block, _MARGIN) if block.startswith(" ") else textwrap.fill(block, width, **how)
+        for block in _paragraphs(text)
     )

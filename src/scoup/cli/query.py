@@ -158,7 +158,7 @@ class Query:
         return refined
 
     def _metres_per_unit(self, place: Place) -> float | None:
-        """The length of the scene's unit, as given or from the longest side of a thing."""
+        """Return the length of the scene's unit in metres, as passed or from the longest side of a thing."""
         if self.longest_side is None:
             return self.metres_per_unit
         if place.box is None:
@@ -195,7 +195,7 @@ class Query:
         return records
 
     def _video_names(self) -> list[str]:
-        """Names of the videos of all texts; texts that are nowhere get none on a turntable."""
+        """Return the names of the videos of all texts; texts without a place get none on a turntable."""
         names = unique_slugs(self.texts) if self.video != "none" else []
         return [f"{name}_{self.video}.mp4" for name in names]
 
@@ -206,7 +206,7 @@ class Query:
         hidden: Path,
         progress: Progress,
     ) -> list[str]:
-        """Write the videos that are wanted; their names."""
+        """Write the requested videos; return their names."""
         from scoup.pictures import save_video
         from scoup.query import heat_frames, moving_cameras
 
@@ -230,7 +230,6 @@ class Query:
         places: list[Place],
         metres_per_unit: float | None,
     ) -> None:
-        """Report the answers and the files."""
         for record in result["answers"]:
             if record["present"]:
                 console.say(_sentence(record))
@@ -248,9 +247,9 @@ class Query:
 
 
 def _sees_nothing(view: FieldView, answers: list[ViewAnswer]) -> bool:
-    """True if nothing of the field is visible."""
-    # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
-    return all((each.heat == 0.5).all() for each in answers) and not view.is_visible()
+    """Return True if nothing of the field is visible."""
+    # Relevancy is 0.5 wherever nothing is rendered: render only then to find out.
+    return all((answer.heat == 0.5).all() for answer in answers) and not view.is_visible()
 
 
 def _sentence(record: dict[str, Any]) -> str:

@@ -73,12 +73,12 @@ class TextOptions(FieldOptions):
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
     def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
-        """The field, with the text encoder of the options."""
+        """Return the field, with the text encoder of the options."""
         field = super().open(path, device, splat_option)
         return field if self.text is None else field.with_encoder(self.text)
 
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
-        """The question that ``field.question`` makes of texts and options.
+        """Return the question that ``field.question`` makes of texts and options.
 
         Raises:
             InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
@@ -98,7 +98,7 @@ class CameraOptions:
     """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
 
     def all_cameras(self, field: LanguageField, path: Path) -> Cameras:
-        """The cameras of --scene, or of the field at ``path``.
+        """Return the cameras of --scene, or of the field at ``path``.
 
         Raises:
             InputError: there are no cameras.
@@ -114,7 +114,7 @@ class CameraOptions:
         return cameras
 
     def open_cameras(self, field: LanguageField, path: Path, default: str = "") -> list[Camera]:
-        """The cameras named; where none is named the default: all, or the first; further errors of ``all_cameras``.
+        """Return the cameras named, else the default: all, or the first; further errors of ``all_cameras``.
 
         Raises:
             UnknownNameError: there is no camera of that name.
@@ -123,10 +123,10 @@ class CameraOptions:
         if "all" in (self.camera or (default,)):
             return list(cameras)
         try:
-            found = [cameras[name] for name in self.camera] or [cameras[0]]
+            chosen = [cameras[name] for name in self.camera] or [cameras[0]]
         except UnknownNameError as error:
             raise UnknownNameError("camera", error.name, cameras.names, str(self.scene or path)) from error
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(chosen))
 
     def check_seen(self, path: Path, blind: list[Camera], count: int) -> None:
         """Warn of the cameras, among ``count``, in which nothing of the field is visible.
@@ -165,7 +165,7 @@ class FrameOptions:
     """The direction that is up. Default: estimated from the cameras, which people hold level."""
 
     def frame(self, field: LanguageField) -> Frame | None:
-        """The directions of the options; None where none is given."""
+        """Return the directions of the options; None without any."""
         return None if self.seen_from is None and self.up is None else field.frame(self.seen_from, self.up)
 
 
@@ -183,13 +183,13 @@ class AnswerOptions:
     """Answer every text, without judging presence."""
 
     def rules(self) -> dict[str, Any]:
-        """The options as arguments of ``LanguageField.question``."""
+        """Return the options as arguments of ``LanguageField.question``."""
         return {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelOptions(AnswerOptions):
-    """Options of verbs of which the user may choose the level that answers."""
+    """Options of verbs with a choice of the level that answers."""
 
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
@@ -199,7 +199,7 @@ class LevelOptions(AnswerOptions):
 
 
 def output_folder(out: Path | None, field: Path, ending: str) -> Path:
-    """The folder to write results into, by default <name of FIELD>_<ending> here."""
+    """Return the folder to write results into, by default <name of FIELD>_<ending> here."""
     folder = out or Path(f"{field.stem}_{ending}")
     if folder.is_file():
         raise InputError(f"{folder}: is a file; name a folder to write the results into with --out")

@@ -88,7 +88,7 @@ class Render:
             raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
 
     def _scaled(self, cameras: list[Camera]) -> list[Camera]:
-        """The cameras at the size of --scale."""
+        """Return the cameras at the size of --scale."""
         longest = max(max(camera.width, camera.height) for camera in cameras)
         if longest * self.scale > LONGEST_SIDE:
             raise InputError(
@@ -97,7 +97,6 @@ class Render:
         return [camera.scaled(self.scale) for camera in cameras] if self.scale != 1 else cameras
 
     def _drawing(self, field: LanguageField) -> Draw:
-        """The function that draws one view."""
         from scoup.query import code_drawing, color_drawing, relevancy_drawing
 
         if self.what == "codes":

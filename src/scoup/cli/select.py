@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeOptions:
-    """How the selection is changed before it is used."""
+    """Changes to the selection before it is used."""
 
     largest: Flag = False
     """Keep only the largest connected component of the selection."""
@@ -133,7 +133,7 @@ class Select:
         return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
 
     def _rgb(self) -> tuple[float, float, float]:
-        """The colour of --color, 0 to 1."""
+        """Return the colour of --color, 0 to 1."""
         if not re.fullmatch("#?[0-9a-fA-F]{6}", self.color):
             raise InputError(f"--color {self.color}: is not a colour; expected #rrggbb, for example #ff5c28")
         red, green, blue = bytes.fromhex(self.color[-6:])
@@ -155,18 +155,18 @@ class Select:
         Raises:
             InputError: nothing answers, or all would be removed.
         """
-        found, count = int(answer.mask.sum()), len(answer.mask)
-        if found and not (self.edit == "remove" and found == count):
+        selected, count = int(answer.mask.sum()), len(answer.mask)
+        if selected and not (self.edit == "remove" and selected == count):
             return
-        advice = "try a higher --threshold" if found else "try a lower --threshold"
-        if not found and not answer.presence:
+        advice = "try a higher --threshold" if selected else "try a lower --threshold"
+        if not selected and not answer.presence:
             advice = f"{answer.text}: {answer.remark()}"
-            if not all(part.presence for part in answer.parts):
+            if not all(term.presence for term in answer.parts):
                 advice += "; --always chooses something anyway"
-        if not found and before:
+        if not selected and before:
             advice = f"{before:,} do before --shrink {self.shape.shrink}, which leaves none; shrink less"
         raise InputError(
-            f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
+            f"{self.out}: nothing to write, {selected:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )
 
     def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
@@ -178,16 +178,16 @@ class Select:
         if self.edit != "state":
             left = edited(left, whole.mask, self.edit, self._rgb(), self.opacity)
         self._draw(field, whole, left)
-        kept = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
+        mask = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
         if self.out.suffix.lower() == ".scoup":
-            edited_field = field.with_gaussians(left) if kept is None else field[kept]
+            edited_field = field.with_gaussians(left) if mask is None else field[mask]
             edited_field.save(self.out, self.common.overwrite)
         elif self._is_plain_ply():
             rows = SplatTable.of(field, self.opening.gaussians)
             if self.edit == "state":
                 table = rows.with_state(whole.mask)
             else:
-                table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
+                table = rows.edited(whole.mask, left) if mask is None else rows.select(mask)
             write_ply_table(table, self.out, self.common.overwrite)
             return len(table)
         else:
@@ -207,11 +207,10 @@ class Select:
         )
 
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
-        """Report the selection, its place and the files."""
-        counts = {part.text: int(part.mask.sum()) for part in whole.parts}
-        for part in whole.parts:
-            found = f"{counts[part.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
-            console.say(f"{part.text}: {found if part.presence else part.remark()}")
+        counts = {term.text: int(term.mask.sum()) for term in whole.parts}
+        for term in whole.parts:
+            share = f"{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
+            console.say(f"{term.text}: {share if term.presence else term.remark()}")
         selected = int(whole.mask.sum())
         if list(counts) != [whole.text]:
             console.say(f"{whole.text}: {selected:,}")
@@ -229,7 +228,7 @@ class Select:
                 "out": self.out,
                 "written": written,
                 "chosen": counts,
-                "texts": {part.text: part.to_dict() for part in whole.parts},
+                "texts": {term.text: term.to_dict() for term in whole.parts},
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,

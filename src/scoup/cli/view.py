@@ -21,7 +21,7 @@ _MEGABYTE = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """What the page shows."""
+    """Contents of the page."""
 
     words: OptionalPath = None
     """File of words, one per line: the choices of a click, and all that an exported page can be asked. Default:
@@ -35,7 +35,7 @@ class PageOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ServerOptions:
-    """Where the page is served."""
+    """Address of the page."""
 
     host: str = "127.0.0.1"
     """Address to bind to. 0.0.0.0 admits other machines: all that know the address, which contains a token."""
@@ -90,7 +90,7 @@ class View:
             raise InputError(f"{export}: expected a name that ends in .html; for a folder, pass --split")
 
     def _viewed(self, console: Console) -> ViewedField:
-        """The field with its encoder; says why no text can be asked, if none can."""
+        """Return the field with its encoder; say why, if no text can be asked."""
         from scoup.view import ViewedField, page_files, read_words
 
         page_files()  # before anything that takes long

@@ -15,7 +15,7 @@ from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, Wr
 
 @dataclass(frozen=True, kw_only=True)
 class OwnViews:
-    """Which views are made."""
+    """Settings of the views."""
 
     views: OptionalInteger = None
     """Number of views. Default: as many as still show something new."""
@@ -62,15 +62,15 @@ class MakeViews:
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
         from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source, turned, turned_direction
 
-        found = splat_source(self.splat)
-        source = found.path
+        splat = splat_source(self.splat)
+        source = splat.path
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.common.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up
-        if view.keep_axes and (axis := found.kind.axis) is not None:
+        if view.keep_axes and (axis := splat.kind.axis) is not None:
             up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
         how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
         with console.progress() as progress:
@@ -91,8 +91,8 @@ def is_splat(path: Path) -> bool:
 
 
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
-    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` those that are not
-    whole are replaced."""
+    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` incomplete
+    ones are replaced."""
     from scoup.extract import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():

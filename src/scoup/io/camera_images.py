@@ -1,4 +1,4 @@
-"""The photographs of cameras: which folder, which file, which size."""
+"""The photographs of cameras: their folder, files and sizes."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def attach_images(
             Path(images), f"has {none_of(len(cameras), 'image')} ({named})",
             "use the folder of their photographs",
         )  # fmt: skip
-    kept = missing_images == "keep" or not attached
+    keep = missing_images == "keep" or not attached
     if unreadable:
-        what = "their cameras are used without" if kept else "their cameras are skipped"
+        what = "their cameras are used without" if keep else "their cameras are skipped"
         warnings.warn(
             f"{source}: {len(unreadable)} of {counted(len(cameras), 'photograph')} cannot be read, {what}: "
             f"{'; '.join(unreadable[:3])}",
@@ -80,29 +80,29 @@ def attach_images(
         if not attached:
             message = f"{none_of(len(missing), 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {message}", ScoupWarning, stacklevel=3)
-    return sorted_cameras(source, [*attached, *(others if kept else [])])
+    return sorted_cameras(source, [*attached, *(others if keep else [])])
 
 
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
 ) -> tuple[list[tuple[str, Path, Path | None]], str]:
-    """Return the names of cameras that have image files, with these files, of which only the headers are read, and
-    their masks; and which files of others were looked for, "" if there are none."""
+    """Return name, image file and mask of each camera that has an image; and the files that others lack, in words, ""
+    if there are none. Only headers of images are read."""
     folder, factor = _choose_folder(roots, images, None)
     missing: list[str] = []
-    found: list[tuple[str, Path, Path | None]] = []
+    files: list[tuple[str, Path, Path | None]] = []
     misfits: dict[Path, str] = {}
     for camera in cameras:
         path = _find(camera, folder, factor, images is None)[0]
         if path is None:
             missing.append(camera.name)
             continue
-        found.append((camera.name, path, camera.mask_path))
+        files.append((camera.name, path, camera.mask_path))
         with suppress(FileFormatError):  # reported by whoever decodes it
             if misfit := _misfit(camera, image_size(path)):
                 misfits[path] = misfit
     _refuse(misfits)
-    return found, _searched(folder, missing) if missing else ""
+    return files, _searched(folder, missing) if missing else ""
 
 
 def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
@@ -114,7 +114,7 @@ def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
 def _choose_folder(
     roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
 ) -> tuple[ImageFolder | None, int]:
-    """Return the images folder, and by how much its images are smaller than the originals."""
+    """Return the images folder, and the factor by which its images are reduced."""
     if images is not None:
         for candidate in (Path(images), *(root / images for root in roots)):
             if candidate.is_dir():

@@ -1,4 +1,4 @@
-"""Where the cameras of a scene are: every guess about folders and files of cameras is made here."""
+"""Search for the cameras of a scene: every guess about folders and files of cameras is made here."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CameraFormat(Entry):
     read: Callable[[Path, Distorted], Cameras]
     """Takes a file (of COLMAP a folder), and what to do about lens distortion."""
     takes: Callable[[Path], bool]
-    """Whether an existing file is of this format; the first format that takes a file reads it."""
+    """Tells if an existing file is of this format; the first format that takes a file reads it."""
     files: tuple[str, ...] = ()
     """Names of its files in the folder of a scene."""
 
@@ -76,7 +76,7 @@ class CameraSource:
 
 
 def find_cameras(path: str | Path) -> CameraSource:
-    """Return which cameras ``load_cameras`` reads for ``path``.
+    """Return the source of the cameras that ``load_cameras`` reads for ``path``.
 
     In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a COLMAP model
     in ``sparse``, then transforms.json (or transforms_train.json), then a model in ``colmap/sparse``, then files of the
@@ -190,10 +190,10 @@ def where_cameras_are(path: Path) -> str:
     """Return the remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
     above = list(path.absolute().parents)[:3]
     if not path.is_absolute():
-        above = [Path(os.path.relpath(place)) for place in above]
+        above = [Path(os.path.relpath(folder)) for folder in above]
     below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
     for places, what in ((above, "use the scene it is in"), (below, "use one of the scenes in it")):
-        scenes = [str(place) for place in places if has_cameras(place)][: 1 if places is above else 3]
+        scenes = [str(folder) for folder in places if has_cameras(folder)][: 1 if places is above else 3]
         if scenes:
             return f"{what}: {', '.join(scenes)}"
     if files := sorted(str(file) for file in path.glob("*transforms*.json"))[:3]:

@@ -1,4 +1,4 @@
-"""COCO's JSON of annotated images: what is in which pixels, with boxes (cocodataset.org, "Data format")."""
+"""COCO's JSON of annotated images: masks and boxes of categories (cocodataset.org, "Data format")."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ def run_lengths(mask: np.ndarray) -> str:
     if len(flat) and flat[0]:
         lengths = [0, *lengths]  # the first length is of pixels outside
     characters: list[str] = []
-    for place, length in enumerate(lengths):
-        value = length - lengths[place - 2] if place > 2 else length
+    for index, length in enumerate(lengths):
+        value = length - lengths[index - 2] if index > 2 else length
         more = True
         while more:
-            part = value & 31
+            bits = value & 31
             value >>= 5
-            more = value != -1 if part & 16 else value != 0
-            characters.append(chr(48 + (part | 32 if more else part)))
+            more = value != -1 if bits & 16 else value != 0
+            characters.append(chr(48 + (bits | 32 if more else bits)))
     return "".join(characters)

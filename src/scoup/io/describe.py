@@ -39,7 +39,7 @@ def describe_file(path: Path) -> dict[str, Any] | None:
 
 
 def _is_cameras(path: Path) -> bool:
-    """Tell whether JSON contains cameras; a FileFormatError if it is no word table either."""
+    """Tell whether JSON contains cameras; a FileFormatError if it is not a word table either."""
     if path.name in ("transforms.json", "cameras.json"):
         return True
     content = read_json(path, "cameras or a word table").value
@@ -155,7 +155,7 @@ def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
 
 
 def describe_folder(path: Path) -> DescribedFolder:
-    """Return a scene, or what there is of one; or region features alone. Missing parts are left out."""
+    """Describe a scene, or region features alone. Missing parts are left out."""
     record: dict[str, Any] = {}
     splat, gaussians, cameras = None, None, None
     no_cameras = MissingFileError(path, "")

@@ -1,4 +1,4 @@
-"""What a model with words found in photographs: a folder with ``concepts.json`` and one JSON file per photograph."""
+"""Detections of texts in photographs: a folder with ``concepts.json`` and one JSON file per photograph."""
 
 from __future__ import annotations
 
@@ -82,14 +82,14 @@ class DetectionStore:
             return False
         return record is not None and record.get("photograph").value == photograph
 
-    def write(self, name: str, photograph: str, found: Detections) -> None:
+    def write(self, name: str, photograph: str, result: Detections) -> None:
         """Write the detections of a photograph; masks are left out."""
-        numbers = zip(found.texts.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
+        numbers = zip(result.texts.tolist(), result.scores.tolist(), result.boxes.tolist(), strict=True)
         record = {
             "name": name,
             "manifest": self.fingerprint,
             "photograph": photograph,
-            "size": list(found.size),
+            "size": list(result.size),
             "detections": [
                 [text, round(score, 4), *(round(side, 1) for side in box)] for text, score, box in numbers
             ],
@@ -116,7 +116,7 @@ class DetectionStore:
         return Detections(texts, rows[:, 1].float(), rows[:, 2:].float(), (width, height))
 
     def _record(self, name: str) -> JsonNode | None:
-        """Return what is stored of a photograph, if it was made with these texts and this model."""
+        """Return the record of a photograph, if it was made with these texts and this model."""
         if not self._file(name).is_file():
             return None
         record = read_json(self._file(name), "detections", _REMEDY)
@@ -134,8 +134,8 @@ def find_detections(features: Path) -> DetectionStore | None:
 
 def detections_of(store: DetectionStore, names: Iterable[str]) -> dict[str, Detections]:
     """Return the detections of the photographs among ``names`` that were looked at."""
-    found = {name: store.read(name) for name in names}
-    return {name: each for name, each in found.items() if each is not None}
+    stored = {name: store.read(name) for name in names}
+    return {name: detections for name, detections in stored.items() if detections is not None}
 
 
 def new_store(folder: Path, texts: Sequence[str], settings: dict[str, Any]) -> DetectionStore:

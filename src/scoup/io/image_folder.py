@@ -1,4 +1,4 @@
-"""A folder of image files: which file belongs to which name. No file is opened."""
+"""A folder of image files, found by name. No file is opened."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ class ImageFolder:
         may be that of a single file in a sub-folder, unless images lie outside of these.
         """
         name = _composed(name)
-        for place in (*self._places(name), *self._places(name.replace("\\", "/"))):
-            found = self._in(*posixpath.split(place))
-            if found is not None:
-                return found
+        for candidate in (*self._places(name), *self._places(name.replace("\\", "/"))):
+            path = self._in(*posixpath.split(candidate))
+            if path is not None:
+                return path
         if "/" in name or "" in self._folders:
             return None
         others = [self._in(within, name) for within in self._folders if not _ASIDE.search(within)]
@@ -111,8 +111,8 @@ class ImageFolder:
         """Yield the name, and what follows this folder in it; of an absolute path or one with .., all ends."""
         parts = PurePosixPath(name).parts
         yield "/".join(parts)  # without ./ and //
-        own = self.folder.absolute()
-        folders = (*own.parent.parts, re.sub(r"^images_\d+$", "images", own.name))
+        root = self.folder.absolute()
+        folders = (*root.parent.parts, re.sub(r"^images_\d+$", "images", root.name))
         elsewhere = ".." in parts or PurePosixPath(name).is_absolute() or bool(PureWindowsPath(name).drive)
         for count in range(1, len(parts)):
             if elsewhere or folders[-count:] == parts[:count]:

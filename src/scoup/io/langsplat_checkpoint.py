@@ -54,15 +54,15 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
     if len(captured) == _PLAIN:
         problem = "was saved without language features (12 entries)"
         raise FileFormatError(path, problem, "use a checkpoint of the training with --include_feature")
-    gaussians, kept = _gaussians(path, captured)
+    gaussians, finite = _gaussians(path, captured)
     if len(captured) < _V2:
         # Feature 3DGS has them last, [N, 1, D].
-        place = 7 if isinstance(captured[7], Tensor) and captured[7].dim() > 1 else _PLAIN
-        value = captured[place]
+        index = 7 if isinstance(captured[7], Tensor) and captured[7].dim() > 1 else _PLAIN
+        value = captured[index]
         features = value.flatten(1) if isinstance(value, Tensor) and value.dim() == 3 else value
-        rows = _floats(path, features, (len(kept), -1), "language_feature")[kept]
+        rows = _floats(path, features, (len(finite), -1), "language_feature")[finite]
         return LangSplatLevel(gaussians, rows, None)
-    count = len(kept)
+    count = len(finite)
     logits = _floats(path, captured[7], (count, -1), "language_feature_logits")
     codebooks = _floats(path, captured[8], (-1, -1, -1), "language_feature_codebooks")
     layers, size = codebooks.shape[:2]
@@ -72,7 +72,7 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
     if not (np.isfinite(logits).all() and np.isfinite(codebooks).all()):
         problem = "has logits or codebooks that are not finite"
         raise FileFormatError(path, problem, "the training diverged, or the file is damaged")
-    return LangSplatLevel(gaussians, logits.reshape(count, layers, size)[kept], codebooks)
+    return LangSplatLevel(gaussians, logits.reshape(count, layers, size)[finite], codebooks)
 
 
 def _gaussians(path: Path, captured: Sequence[Any]) -> tuple[Gaussians, np.ndarray]:

@@ -78,19 +78,19 @@ def read_json(path: str | Path, what: str, remedy: str = "") -> JsonNode:
     try:
         return JsonNode(path, json.loads(text), remedy or f"the file should contain {what}")
     except (ValueError, RecursionError) as error:
-        place = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
-        raise FileFormatError(path, f"is not valid JSON{place}", f"the file should contain {what}") from error
+        line = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
+        raise FileFormatError(path, f"is not valid JSON{line}", f"the file should contain {what}") from error
 
 
 def numbered_files(folder: Path, glob: str) -> dict[tuple[int, ...], Path]:
     """Return the files that a glob finds in a folder, by the numbers in place of its stars; others are left out."""
     pattern = re.escape(glob).replace(r"\*", r"(\d{1,12})")
-    found = {}
+    files = {}
     for file in folder.glob(glob):
         matched = re.fullmatch(pattern, file.relative_to(folder).as_posix())
         if matched and file.is_file():
-            found[tuple(map(int, matched.groups()))] = file
-    return found
+            files[tuple(map(int, matched.groups()))] = file
+    return files
 
 
 def check_finite(path: Path, values: Sequence[float], what: str) -> list[float]:

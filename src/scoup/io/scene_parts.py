@@ -21,9 +21,7 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> SplatSource:
         if not scene.exists():
             raise FileFormatError(scene, "there is no such scene", "check the path") from error
         if scene.is_dir():
-            find_cameras(
-                scene
-            )  # a folder without cameras is not a scene; the error names those that may be meant
+            find_cameras(scene)  # a folder without cameras is not a scene; the error suggests scenes
         elif camera_format(scene) is None:
             problem = "is neither a scene nor a splat"
             raise FileFormatError(scene, problem, "pass the folder of cameras and photographs") from error

@@ -1,4 +1,4 @@
-"""A similarity transform in a file: how one frame lies in another."""
+"""A file with a similarity transform from one frame to another."""
 
 from __future__ import annotations
 

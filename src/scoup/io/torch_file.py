@@ -63,7 +63,7 @@ def _is_bare_pickle(path: Path) -> bool:
 
 
 def _check_names(pickles: list[bytes]) -> None:
-    """Refuse what torch's restricted loader would call with any number, and which takes that much memory."""
+    """Refuse names that torch's restricted loader would call with any number, and so allocate any memory."""
     for content in pickles:
         for code, name, _ in pickletools.genops(content):
             if code.name == "GLOBAL" and _TAKES_MEMORY.fullmatch(str(name)):
@@ -95,12 +95,12 @@ def float_tensors(
     path: Path, content: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], what: str
 ) -> dict[str, np.ndarray]:
     """Return ``float_tensor`` of several tensors, which have a row of these shapes for each Gaussian."""
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     count = -1
     for name, shape in shapes.items():
-        found[name] = float_tensor(path, content.get(name), (count, *shape), name, what)
-        count = len(found[name])
-    return found
+        arrays[name] = float_tensor(path, content.get(name), (count, *shape), name, what)
+        count = len(arrays[name])
+    return arrays
 
 
 def _number_types() -> list[Any]:

@@ -1,4 +1,4 @@
-"""What gives embeddings and masks: text encoders, image embedders, SAM, open-vocabulary detectors, word tables.
+"""Models of embeddings and masks: text encoders, image embedders, SAM, open-vocabulary detectors, word tables.
 
 Only this room knows transformers and open_clip, which are loaded when a model is opened. A model is opened by its name,
 and says which text space its embeddings are in.

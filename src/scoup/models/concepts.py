@@ -34,7 +34,7 @@ class ConceptModel(Protocol):
         ...
 
     def detect(self, image: NDArray[np.uint8], texts: Sequence[str]) -> Detections:
-        """Return the places of an image [H, W, 3] that texts may mean, each with a score."""
+        """Detect texts in an image [H, W, 3]."""
         ...
 
 
@@ -53,13 +53,12 @@ class _Transformer:
         return {"concepts": self.name, "concepts_revision": self.revision}
 
     def tokens(self, texts: Sequence[str], length: int) -> dict[str, Tensor]:
-        """Return ids and mask of texts, padded to a length."""
         options: dict[str, Any] = {"padding": "max_length", "truncation": True, "max_length": length}
-        found = self.tokenizer(list(texts), return_tensors="pt", **options)
-        return {name: found[name].to(self.model.device) for name in ("input_ids", "attention_mask")}
+        encoded = self.tokenizer(list(texts), return_tensors="pt", **options)
+        return {name: encoded[name].to(self.model.device) for name in ("input_ids", "attention_mask")}
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return what was made for the last key, which is that of all photographs of a scene."""
+        """Return the cached value of the last key: all photographs of a scene share one."""
         if key not in self.known:
             self.known.clear()
             self.known[key] = make()
@@ -102,7 +101,7 @@ class DinoConcepts(_Transformer):
         height, width = image.shape[:2]
         scale = min(SHORT_SIDE / min(height, width), LONG_SIDE / max(height, width))
         pixels = self.pixels(image, max(1, round(width * scale)), max(1, round(height * scale)))
-        found = []
+        detections = []
         for first, ids, spans in self._captions(texts):
             tokens = torch.tensor([ids], device=pixels.device)
             with torch.inference_mode():
@@ -115,23 +114,23 @@ class DinoConcepts(_Transformer):
             scores = torch.stack([of_tokens[:, start:end].amax(1) for start, end in spans], 1)
             boxes = corners(output.pred_boxes[0].cpu().float()) * torch.tensor([width, height] * 2)
             of_caption = best_boxes(boxes, scores, (width, height))
-            found.append((of_caption.texts + first, of_caption.scores, of_caption.boxes))
-        rows, scores, boxes = (torch.cat(parts) for parts in zip(*found, strict=True))
+            detections.append((of_caption.texts + first, of_caption.scores, of_caption.boxes))
+        rows, scores, boxes = (torch.cat(parts) for parts in zip(*detections, strict=True))
         return Detections(rows, scores, boxes, (width, height))
 
     def _captions(self, texts: Sequence[str]) -> Iterator[tuple[int, list[int], list[tuple[int, int]]]]:
-        """Yield captions "[CLS] one . other . [SEP]": position of the first text, ids, and where each text is."""
+        """Yield captions "[CLS] one . other . [SEP]": position of the first text, ids, and span of each text."""
         start, end = self.tokenizer.cls_token_id, self.tokenizer.sep_token_id
         stop = self.tokenizer.convert_tokens_to_ids(".")
         room = int(self.model.config.max_text_len)
         first, ids, spans = 0, [start], []
         for number, text in enumerate(texts):
-            mine = self.tokenizer(text.lower(), add_special_tokens=False)["input_ids"][: room - 3]
-            if spans and len(ids) + len(mine) + 2 > room:
+            tokens = self.tokenizer(text.lower(), add_special_tokens=False)["input_ids"][: room - 3]
+            if spans and len(ids) + len(tokens) + 2 > room:
                 yield first, [*ids, end], spans
                 first, ids, spans = number, [start], []
-            spans.append((len(ids), len(ids) + len(mine)))
-            ids += [*mine, stop]
+            spans.append((len(ids), len(ids) + len(tokens)))
+            ids += [*tokens, stop]
         yield first, [*ids, end], spans
 
 
@@ -141,20 +140,20 @@ class Sam3Concepts(_Transformer):
     def detect(self, image: NDArray[np.uint8], texts: Sequence[str]) -> Detections:
         height, width = image.shape[:2]
         side = int(self.model.config.vision_config.backbone_config.image_size)
-        found: list[tuple[Tensor, ...]] = []
+        detections: list[tuple[Tensor, ...]] = []
         with torch.inference_mode():
             seen = self.model.get_vision_features(self.pixels(image, side, side))
             for number, text in enumerate(texts):
                 output = self.model(vision_embeds=seen, **self.tokens([text], SAM3_TOKENS))
                 scores = (output.pred_logits[0].sigmoid() * output.presence_logits[0].sigmoid()).cpu().float()
-                kept = scores.argsort(descending=True)[:MOST_BOXES]
-                kept = kept[scores[kept] >= LEAST_SCORE]
-                logits = output.pred_masks[0].cpu().float()[kept]
+                best = scores.argsort(descending=True)[:MOST_BOXES]
+                best = best[scores[best] >= LEAST_SCORE]
+                logits = output.pred_masks[0].cpu().float()[best]
                 masks = torch.nn.functional.interpolate(logits[:, None], (height, width), mode="bilinear")
-                boxes = output.pred_boxes[0].cpu().float()[kept].clamp(0, 1)
+                boxes = output.pred_boxes[0].cpu().float()[best].clamp(0, 1)
                 boxes = boxes * torch.tensor([width, height] * 2)
-                found.append((torch.full((len(kept),), number), scores[kept], boxes, masks[:, 0] > 0))
-        rows, scores, boxes, masks = (torch.cat(parts) for parts in zip(*found, strict=True))
+                detections.append((torch.full((len(best),), number), scores[best], boxes, masks[:, 0] > 0))
+        rows, scores, boxes, masks = (torch.cat(parts) for parts in zip(*detections, strict=True))
         return Detections(rows, scores, boxes, (width, height), masks)
 
 
@@ -169,19 +168,19 @@ def best_boxes(boxes: Tensor, scores: Tensor, size: tuple[int, int]) -> Detectio
     largest score [P, Q], in an image of this width and height."""
     boxes = boxes.clamp(min=0).minimum(torch.tensor(size * 2))
     values, places = scores.T.topk(min(CANDIDATES, len(scores)), dim=1)
-    rows, kept, areas = [], [], (boxes[:, 2:] - boxes[:, :2]).prod(1)
-    for text, (mine, order) in enumerate(zip(values.tolist(), places, strict=True)):
-        waiting = order[: sum(value >= LEAST_SCORE for value in mine)]
+    rows, indices, areas = [], [], (boxes[:, 2:] - boxes[:, :2]).prod(1)
+    for text, (ranked, order) in enumerate(zip(values.tolist(), places, strict=True)):
+        waiting = order[: sum(value >= LEAST_SCORE for value in ranked)]
         chosen = 0
         while len(waiting) and chosen < MOST_BOXES:
             best, waiting = int(waiting[0]), waiting[1:]
             rows.append(text)
-            kept.append(best)
+            indices.append(best)
             chosen += 1
             low = torch.maximum(boxes[best, :2], boxes[waiting, :2])
             both = (torch.minimum(boxes[best, 2:], boxes[waiting, 2:]) - low).clamp(min=0).prod(1)
             waiting = waiting[both <= SAME_BOX * (areas[best] + areas[waiting] - both)]
-    texts, chosen_boxes = torch.tensor(rows, dtype=torch.int64), torch.tensor(kept, dtype=torch.int64)
+    texts, chosen_boxes = torch.tensor(rows, dtype=torch.int64), torch.tensor(indices, dtype=torch.int64)
     return Detections(texts, scores[chosen_boxes, texts].float(), boxes[chosen_boxes].float(), size)
 
 
@@ -204,14 +203,14 @@ def open_transformer(
         if kind not in _CLASSES:
             raise ScoupError(f"{kind!r} is not a model with words; use one of {', '.join(_CLASSES)}")
         class_name, wrapper, normalization, version = _CLASSES[kind]
-        found = getattr(files.transformers, class_name, None)
-        if found is None:
+        model_class = getattr(files.transformers, class_name, None)
+        if model_class is None:
             raise ScoupError(
                 f"transformers {files.transformers.__version__} has no {class_name}; "
                 f"run 'pip install \"transformers>={version}\"'"
             )
         return wrapper(
-            model=files.model(found).to(device),
+            model=files.model(model_class).to(device),
             tokenizer=files.tokenizer(),
             name=model_id,
             revision=files.commit,
@@ -238,7 +237,7 @@ CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
 
 
 def open_concepts(name: str, device: torch.device | str = "cpu") -> ConceptModel:
-    """Open a model with words, by a name of ``CONCEPTS``.
+    """Open an open-vocabulary detector, by a name of ``CONCEPTS``.
 
     Raises:
         UnknownNameError, ScoupError: there is no such model, or it cannot be loaded.

@@ -53,7 +53,7 @@ class DenseModel:
 
     @property
     def _in_text_space(self) -> bool:
-        """Whether tokens are, and a region is their mean; otherwise a head pools them."""
+        """Return True if tokens are: then a region is their mean, otherwise a head pools them."""
         return self.tower.kind in ("clip", "tips")
 
     def to_dict(self) -> dict[str, Any]:

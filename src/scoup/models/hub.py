@@ -83,7 +83,7 @@ class ModelRequest:
 
 @dataclass(frozen=True)
 class ModelIdentity:
-    """What the output of a model depends on, as far as it can be told without reading the weights."""
+    """Identity of a model, as far as it can be told without reading the weights."""
 
     name: str  # the hub id, or the last part of the folder
     revision: str  # the commit of a hub model; "" if unknown
@@ -91,9 +91,9 @@ class ModelIdentity:
     files: tuple[str, ...] = ()  # of a model on this machine: path, size and time of change
 
 
-def file_states(place: str) -> tuple[str, ...]:
+def file_states(path: str) -> tuple[str, ...]:
     """Return path, size and time of change of a file, or of the files in a folder; nothing if it is not there."""
-    files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
+    files = sorted(entry.path for entry in os.scandir(path)) if os.path.isdir(path) else [path]
     states = [(file, os.stat(file)) for file in map(os.path.realpath, files) if os.path.isfile(file)]
     return tuple(f"{file} {state.st_size} {state.st_mtime_ns}" for file, state in states)
 
@@ -124,11 +124,11 @@ class Pretrained:
 
     @property
     def commit(self) -> str:
-        """The commit of a hub model, or the requested revision; "" if unknown."""
+        """Return the commit of a hub model, or the requested revision; "" if unknown."""
         return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
 
     def identity(self) -> ModelIdentity:
-        """Return what the model's output depends on."""
+        """Return the identity of the model."""
         package = f"transformers {self.transformers.__version__}"
         if os.path.isdir(self.model_id):
             name = os.path.basename(os.path.realpath(self.model_id))
@@ -230,7 +230,7 @@ def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Lo
 
 
 def open_clip_identity(request: ModelRequest) -> ModelIdentity:
-    """Return what the output of a model of open_clip depends on; its weights may be a file."""
+    """Return the identity of a model of open_clip, whose weights may be a file."""
     files = file_states(_open_clip_parts(request)[1])
     package = f"open_clip {getattr(request.package('open_clip', 'open-clip'), '__version__', '')}"
     return ModelIdentity(request.name, "", package, files)

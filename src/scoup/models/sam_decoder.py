@@ -32,7 +32,7 @@ class SharedDecoder:
     def predict(self, prompts: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits [P, 3, 4 h, 4 w] and predicted IoU [P, 3] of prompts [P, 2] in pixels of the square."""
         with torch.inference_mode():
-            parts = [self._predict(part) for part in prompts.split(POINTS_AT_ONCE[self.embedding.dtype])]
+            parts = [self._predict(batch) for batch in prompts.split(POINTS_AT_ONCE[self.embedding.dtype])]
         return torch.cat([masks for masks, _ in parts]), torch.cat([iou for _, iou in parts])
 
     @cached_property
@@ -41,7 +41,7 @@ class SharedDecoder:
         dense = model.prompt_encoder.no_mask_embed.weight.reshape(1, -1, 1, 1)
         images = self.embedding + dense, model.get_image_wide_positional_embeddings()
         tokens, places = (
-            each.to(self.embedding.dtype).flatten(2).transpose(1, 2).contiguous() for each in images
+            tensor.to(self.embedding.dtype).flatten(2).transpose(1, 2).contiguous() for tensor in images
         )
         first = model.mask_decoder.transformer.layers[0]
         to_image, from_image = first.cross_attn_token_to_image, first.cross_attn_image_to_token

@@ -43,7 +43,7 @@ _SHOWN = 50  # names in the picture of a notebook
 
 
 Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
-"""What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model id."""
+"""Source of vectors of texts: an encoder, a dict of name -> vector, a word table's file, or a model id."""
 
 
 class TextEncoder:
@@ -269,8 +269,8 @@ def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
     """
     phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
     names = words.EVERYDAY_WORDS if encoder.names is None else encoder.names
-    kept = (" ".join(name.split()) for name in names)
-    return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
+    cleaned = (" ".join(name.split()) for name in names)
+    return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
 
 
 def check_model(name: str) -> None:

@@ -61,9 +61,9 @@ class TinyViT(nn.Module):
     def fold(self) -> None:
         """Make normalisations of batches part of their convolutions, and keep the channels of a pixel together: the
         same numbers up to rounding in less time. For evaluation, after weights are loaded."""
-        for part in self.modules():
-            if isinstance(part, _Convolution) and isinstance(part.bn, nn.BatchNorm2d):
-                part.c, part.bn = fuse_conv_bn_eval(part.c, part.bn), nn.Identity()
+        for module in self.modules():
+            if isinstance(module, _Convolution) and isinstance(module.bn, nn.BatchNorm2d):
+                module.c, module.bn = fuse_conv_bn_eval(module.c, module.bn), nn.Identity()
         self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def forward(self, pixels: Tensor, **_: object) -> tuple[Tensor]:
@@ -71,8 +71,8 @@ class TinyViT(nn.Module):
         image = self.patch_embed["seq"](pixels)
         for layer in self.layers:
             assert isinstance(layer, nn.ModuleDict)
-            for part in layer.values():
-                image = part(image)
+            for block in layer.values():
+                image = block(image)
         return (self.neck(image),)
 
 

@@ -21,10 +21,10 @@ def mean_of_windows(image: Tensor, side: int, patch: int, encode: Callable[[Tens
     places = [(y, x) for y in _starts(rows, window) for x in _starts(columns, window)]
     cuts = [image[:, y * patch : (y + window) * patch, x * patch : (x + window) * patch] for y, x in places]
     with torch.inference_mode():
-        found = torch.cat([encode(part) for part in torch.stack(cuts).split(_AT_ONCE)])
-        total = found.new_zeros(rows, columns, found.shape[-1])
-        count = found.new_zeros(rows, columns, 1)
-        for (y, x), of_window in zip(places, found, strict=True):
+        features = torch.cat([encode(batch) for batch in torch.stack(cuts).split(_AT_ONCE)])
+        total = features.new_zeros(rows, columns, features.shape[-1])
+        count = features.new_zeros(rows, columns, 1)
+        for (y, x), of_window in zip(places, features, strict=True):
             total[y : y + window, x : x + window] += of_window
             count[y : y + window, x : x + window] += 1
         return total / count

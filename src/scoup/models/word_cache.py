@@ -58,15 +58,15 @@ def cache_folder() -> Path | None:
     It is the environment variable ``SCOUP_CACHE``, else ``scoup`` in the usual place of the platform: $XDG_CACHE_HOME
     or ~/.cache, ~/Library/Caches on macOS, %LOCALAPPDATA% on Windows.
     """
-    if own := os.environ.get("SCOUP_CACHE"):
-        return Path(own)
+    if configured := os.environ.get("SCOUP_CACHE"):
+        return Path(configured)
     variable, usual = {
         "darwin": ("", "Library/Caches"),
         "win32": ("LOCALAPPDATA", "AppData/Local"),
     }.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    place = os.environ.get(variable, "")
-    if os.path.isabs(place):  # XDG: a relative path is ignored
-        return Path(place) / "scoup"
+    base = os.environ.get(variable, "")
+    if os.path.isabs(base):  # XDG: a relative path is ignored
+        return Path(base) / "scoup"
     try:
         return Path.home() / usual / "scoup"
     except RuntimeError:

@@ -15,8 +15,8 @@ from scoup.pictures.lettering import PAPER
 
 
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; those that are
-    less high, since their titles are shorter, get a margin above."""
+    """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; lower
+    ones, with shorter titles, get a margin above."""
     height = max(frame.shape[0] for frame in frames)
     margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
     pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]

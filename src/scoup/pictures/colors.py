@@ -49,9 +49,9 @@ def as_picture(image: ArrayOrTensor) -> Picture:
 
 def heat_colors(amounts: ArrayOrTensor) -> NDArray[np.float64]:
     """Return [..., 3] sRGB 0..255 of amounts [...] 0..1: from near black over red to light yellow."""
-    place = np.nan_to_num(as_array(amounts).astype(np.float64)).clip(0, 1) * (len(_HEAT) - 1)
-    low = np.minimum(place.astype(int), len(_HEAT) - 2)
-    share = (place - low)[..., None]
+    position = np.nan_to_num(as_array(amounts).astype(np.float64)).clip(0, 1) * (len(_HEAT) - 1)
+    low = np.minimum(position.astype(int), len(_HEAT) - 2)
+    share = (position - low)[..., None]
     return _HEAT[low] * (1 - share) + _HEAT[low + 1] * share
 
 
@@ -64,7 +64,7 @@ def heat_amounts(relevancy: np.ndarray, span: tuple[float, float]) -> NDArray[np
 
 
 def heat_opacity(amounts: np.ndarray) -> NDArray[np.float64]:
-    """Return how much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
+    """Return the opacity of the heat, 0..1: none at the low end, so that the picture stays clear there."""
     share = ((amounts - 0.08) / 0.5).clip(0, 1)
     return share * share * (3 - 2 * share)
 
@@ -105,10 +105,10 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
     weights /= weights.sum()
     mean = weights @ rows
     _, vectors = np.linalg.eigh((rows - mean).T @ ((rows - mean) * weights[:, None]))
-    found = vectors[:, ::-1][:, : min(3, length)]
+    principal = vectors[:, ::-1][:, : min(3, length)]
     # The sign of a component is arbitrary; its largest entry is made positive.
-    found = found * np.sign(found[np.abs(found).argmax(0), np.arange(found.shape[1])])
-    axes[:, : found.shape[1]] = found
+    principal = principal * np.sign(principal[np.abs(principal).argmax(0), np.arange(principal.shape[1])])
+    axes[:, : principal.shape[1]] = principal
     components = (rows - mean) @ axes
     order = np.argsort(components, axis=0, kind="stable")
     heaped = np.cumsum(weights[order], axis=0)

@@ -1,4 +1,4 @@
-"""Legends: what the colours of a picture mean."""
+"""Legends of the colours of a picture."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def _ends(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], low: float,
 def swatch_legend(
     width: int, text: str, of: str, colors: Sequence[tuple[int, int, int]], names: Sequence[str]
 ) -> Picture:
-    """Return a legend: what the colours (sRGB 0..255) of a picture mean, and below it what the names are of, and
-    colours with their names, as many as fit."""
+    """Return a legend: the meaning of a picture's colours, and below it ``of`` and the colours (sRGB 0..255) with their
+    names, as many as fit."""
     width = max(width, LEAST_WIDTH)
     size = max(9.0, strip_height(width) * 0.42)
     side, step = round(size * 1.1), round(size * 1.7)

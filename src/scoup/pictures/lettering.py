@@ -44,7 +44,7 @@ def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tupl
 
 
 def _beginning(text: str, width: int, face: Font) -> str:
-    """Return as much of the text as fits one line, at least one letter."""
+    """Return the longest beginning of the text that fits one line, at least one letter."""
     if text_width(text, face) <= width:
         return text
     end = 1
@@ -127,11 +127,11 @@ def captioned(image: Picture, text: str, right: str = "") -> Picture:
 
 def stacked(parts: list[Picture]) -> Picture:
     """Stack pictures below each other, narrower ones in the middle between dark margins."""
-    width = max(part.shape[1] for part in parts)
-    canvas = np.full((sum(part.shape[0] for part in parts), width, 3), PAPER, np.uint8)
+    width = max(picture.shape[1] for picture in parts)
+    canvas = np.full((sum(picture.shape[0] for picture in parts), width, 3), PAPER, np.uint8)
     y = 0
-    for part in parts:
-        x = (width - part.shape[1]) // 2
-        canvas[y : y + part.shape[0], x : x + part.shape[1]] = part
-        y += part.shape[0]
+    for picture in parts:
+        x = (width - picture.shape[1]) // 2
+        canvas[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
+        y += picture.shape[0]
     return canvas

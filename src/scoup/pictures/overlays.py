@@ -138,7 +138,7 @@ def answer_overlay(
 
 
 def eroded(inside: np.ndarray, width: int) -> np.ndarray:
-    """Pixels [H, W] from which at most ``width`` steps across edges lead to none outside, except beyond the picture."""
+    """Erode a mask [H, W] ``width`` times across edges; beyond the picture counts as inside."""
     for _ in range(width):
         around = np.pad(inside, 1, constant_values=True)
         rows, columns = around[:, 1:-1], around[1:-1]

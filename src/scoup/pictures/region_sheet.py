@@ -45,7 +45,7 @@ def regions_sheet(
 
 
 def _which(written: int, count: int) -> str:
-    """Return a sentence about which regions have their number on them, if not all."""
+    """Return a remark on the regions without a number, if there are any."""
     if written == count:
         return ""
     return f", numbers on the {written} with room" if written else ", no room for numbers"
@@ -62,10 +62,10 @@ def numbered(picture: Picture, labels: np.ndarray) -> tuple[Picture, int]:
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
     face, written = font(FONT), 0
-    for number, place in enumerate(ndimage.find_objects(labels + 1)):
-        if place is None:
+    for number, box in enumerate(ndimage.find_objects(labels + 1)):
+        if box is None:
             continue
-        inside = np.pad(labels[place] == number, 1)
+        inside = np.pad(labels[box] == number, 1)
         text = str(number)
         needed = (FONT + 2 * RIM, text_width(text, face) + 2 * RIM)  # pixels down and across
         room = ndimage.minimum_filter(inside.astype(np.uint8), needed, mode="constant")
@@ -73,7 +73,7 @@ def numbered(picture: Picture, labels: np.ndarray) -> tuple[Picture, int]:
             continue
         depth = np.asarray(ndimage.distance_transform_cdt(inside)) * room
         row, column = np.unravel_index(int(depth.argmax()), depth.shape)
-        x, y = place[1].start + int(column) - 0.5, place[0].start + int(row) - 0.5
+        x, y = box[1].start + int(column) - 0.5, box[0].start + int(row) - 0.5
         draw.text((x, y), text, (255, 255, 255), face, anchor="mm", stroke_width=RIM, stroke_fill=(0, 0, 0))
         written += 1
     return np.asarray(canvas), written

@@ -49,7 +49,7 @@ def sheet_tile_width(width: int, columns: int) -> int:
 
 
 def sheet_tile(picture: Picture, tiles: int, columns: int = 4, width: int = 1200) -> Picture:
-    """Return a picture at its size on a sheet of some tiles, of which many take little memory."""
+    """Return a picture scaled to a tile of a sheet, so that many take little memory."""
     return _scaled(picture, sheet_tile_width(width, min(columns, tiles)))
 
 

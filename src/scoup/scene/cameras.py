@@ -141,27 +141,27 @@ class Camera:
             InputError: ``eye`` and ``target`` are the same point, the view direction is parallel to ``up``, or a size
                 or number is not that of a camera.
         """
-        place, aim, upwards = (np.asarray(vector, np.float64) for vector in (eye, target, up))
-        distance, length = np.linalg.norm(aim - place), np.linalg.norm(upwards)
+        center, aim, upwards = (np.asarray(vector, np.float64) for vector in (eye, target, up))
+        distance, length = np.linalg.norm(aim - center), np.linalg.norm(upwards)
         if not 0 < distance < math.inf or not 0 < length < math.inf:
             raise InputError(
-                f"camera {name!r}: no view direction from eye {place.tolist()} to target {aim.tolist()} "
+                f"camera {name!r}: no view direction from eye {center.tolist()} to target {aim.tolist()} "
                 f"with up {upwards.tolist()}"
             )
-        forward = (aim - place) / distance
+        forward = (aim - center) / distance
         right = np.cross(forward, upwards)
         if np.linalg.norm(right) <= _PARALLEL * length:
             raise InputError(f"camera {name!r}: the view direction is parallel to up {upwards.tolist()}")
         right /= np.linalg.norm(right)
         viewmat = np.eye(4)
         viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        viewmat[:3, 3] = -viewmat[:3, :3] @ place
+        viewmat[:3, 3] = -viewmat[:3, :3] @ center
         K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
         return cls(name, torch.from_numpy(viewmat), K, width, height)
 
     def __repr__(self) -> str:
-        place = ", ".join(f"{value:.4g}" for value in self.position.tolist())
-        return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({place}))"
+        position = ", ".join(f"{value:.4g}" for value in self.position.tolist())
+        return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({position}))"
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""
@@ -196,13 +196,13 @@ class Camera:
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def pixels(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where points [M, 3] of the world are in the image, [M, 2] pixels, and their depths [M], float64 on the
-        CPU; those behind the camera have pixels, too."""
+        """Project points [M, 3] of the world: pixels [M, 2] in the image and depths [M], float64 on the CPU. Points
+        behind the camera have pixels, too."""
         seen = points.double().cpu() @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
         return (seen @ self.K.T)[:, :2] / seen[:, 2:], seen[:, 2]
 
     def shows(self, points: Tensor) -> Tensor:
-        """Return which points [M, 3] are in front of the camera and in its image, [M] boolean on the CPU."""
+        """Return a mask of the points [M, 3] in front of the camera and in its image, [M] boolean on the CPU."""
         pixels, depths = self.pixels(points)
         size = torch.tensor([self.width, self.height])
         return (depths > 0) & ((pixels >= 0) & (pixels < size)).all(1)
@@ -289,9 +289,9 @@ class Cameras:
             return self._by_name[key]
         wanted = unicodedata.normalize("NFC", key)
         for same in (_whole_names, _stems):
-            found = [camera for camera in self._cameras if wanted in same(camera)]
-            if len(found) == 1:
-                return found[0]
+            matches = [camera for camera in self._cameras if wanted in same(camera)]
+            if len(matches) == 1:
+                return matches[0]
         raise UnknownNameError("camera", key, self.names)
 
     @property
@@ -299,7 +299,7 @@ class Cameras:
         return tuple(camera.name for camera in self._cameras)
 
     def select(self, chosen: Callable[[Camera], bool] | Iterable[str | int]) -> Cameras:
-        """Return the cameras for which ``chosen`` is true, or those that it lists by name or index, in its order."""
+        """Return the cameras for which ``chosen`` is true, or the ones that it lists by name or index, in its order."""
         if callable(chosen):
             return Cameras(camera for camera in self._cameras if chosen(camera))
         return Cameras(self[key] for key in chosen)
@@ -310,7 +310,7 @@ class Cameras:
 
 
 def _whole_names(camera: Camera) -> tuple[str, ...]:
-    """Return the name, and without its extension."""
+    """Return the name with and without its extension."""
     name = unicodedata.normalize("NFC", camera.name)
     return name, os.path.splitext(name)[0]
 

@@ -24,7 +24,7 @@ def signed(indices: Tensor) -> Tensor:
 
 
 def rows_of(indices: Tensor, chosen: Tensor | slice) -> Tensor:
-    """``indices[chosen]``, of all types of ``index_dtype``."""
+    """Return ``indices[chosen]``, for all types of ``index_dtype``."""
     return signed(indices)[chosen].view(indices.dtype)
 
 
@@ -104,7 +104,7 @@ class SparseCodes:
 
 
 def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Codes for the compiled core: indices as they are, weights as float32 or the bits of float16."""
+    """Return codes for the compiled core: indices as they are, weights as float32 or the bits of float16."""
     table = indices.detach().cpu().contiguous().numpy()
     if weights.dtype == torch.float16:
         return table, weights.detach().cpu().contiguous().numpy().view(np.uint16)
@@ -115,7 +115,7 @@ def float32_products(rows: Tensor, others: Tensor) -> Tensor:
     """Return [..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], with all bits of float32.
 
     That holds even if the user allows torch fewer bits on a GPU: similarities rounded to 10 bits of mantissa would
-    select other atoms. There products are of float64; those that fields need are small.
+    select other atoms. On a GPU the products are float64; fields need only small ones.
     """
     if rows.device.type == "cpu":
         return rows @ others.transpose(-1, -2)
@@ -131,7 +131,7 @@ def stable_products(rows: Tensor, others: Tensor) -> Tensor:
     core = native_core() if rows.device.type == "cpu" else None
     if core is None:
         return float32_products(rows, others)
-    arrays = (part.detach().float().contiguous().numpy() for part in (rows, others))
+    arrays = (matrix.detach().float().contiguous().numpy() for matrix in (rows, others))
     return torch.from_numpy(core.row_products(*arrays, torch.get_num_threads()))
 
 

@@ -11,7 +11,7 @@ from scoup.base import brief
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What a model found in one photograph: M places, each for one of several texts."""
+    """Detections of a model in one photograph: M boxes, each for one of several texts."""
 
     texts: Tensor  # [M] int64, position of the text
     scores: Tensor  # [M] float32, 0 to 1

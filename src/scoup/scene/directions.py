@@ -1,4 +1,4 @@
-"""Vectors of which only the direction counts: embeddings of regions and of texts."""
+"""Directions: embeddings of regions and of texts, whose norms do not matter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
     if not rows.is_floating_point():
         raise InputError(f"{what} must be floating-point numbers, got {rows.dtype}")
     rows = rows.float()
-    # A sum is not finite if a value is not; only then is it worth to look at each.
+    # A value that is not finite makes the sum not finite: check single values only then.
     if not torch.isfinite(rows.abs().sum()):
         bad = ~torch.isfinite(rows).all(1)
         if bad.any():
@@ -67,8 +67,8 @@ def query_vectors(
     rows = given[None] if given.dim() == 1 else given
     if rows.dim() != 2 or rows.shape[1] != dim or not len(rows):
         raise InputError(f"{what} {list(given.shape)} must be [{dim}] or [count, {dim}]")
-    found = unit_rows(rows, what, lengthen)
-    zero = ~found.any(1)
+    directions = unit_rows(rows, what, lengthen)
+    zero = ~directions.any(1)
     if zero.any():
         raise InputError(f"{what}: row {int(zero.nonzero()[0])} is zero, which has no direction")
-    return found
+    return directions

@@ -128,8 +128,8 @@ class Gaussians:
 
 
 def chosen_rows(chosen: Tensor | ArrayLike | slice, count: int) -> Tensor:
-    """Return what chooses among ``count`` rows as a boolean mask [count] or int64 indices [M]: a tensor, an array or a
-    list of these, indices of any integer type, or a slice."""
+    """Return a choice of ``count`` rows as a boolean mask [count] or int64 indices [M]. It may be a tensor, an array or
+    a list of these, with indices of any integer type, or a slice."""
     try:
         rows = torch.arange(count)[chosen] if isinstance(chosen, slice) else torch.as_tensor(chosen)
     except (TypeError, ValueError, RuntimeError):

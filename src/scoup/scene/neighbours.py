@@ -1,4 +1,4 @@
-"""Nearest neighbours in space, and the parts that they connect.
+"""Nearest neighbours in space, and their connected components.
 
 The compiled core finds them, or scipy (``plain_...``) where there is none.
 """
@@ -39,11 +39,11 @@ def plain_nearest_points(
     numbers, lengths = [], []
     for start in range(0, len(points), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        far, found = (np.asarray(each) for each in tree.query(points[rows], k=count + 1, workers=-1))
-        itself = found == np.arange(start, start + len(found))[:, None]
-        # Missing if more points at its place are found than were searched for: then the last one is left out.
+        far, indices = (np.asarray(array) for array in tree.query(points[rows], k=count + 1, workers=-1))
+        itself = indices == np.arange(start, start + len(indices))[:, None]
+        # A point with more duplicates than neighbours searched may be missing: then drop the last neighbour.
         itself[:, -1] |= ~itself.any(1)
-        numbers.append(found[~itself].reshape(-1, count))
+        numbers.append(indices[~itself].reshape(-1, count))
         lengths.append(far[~itself].reshape(-1, count))
     return np.concatenate(numbers).astype(np.int64), np.concatenate(lengths)
 
@@ -51,9 +51,9 @@ def plain_nearest_points(
 def linked_parts(
     numbers: NDArray[np.int64], lengths: NDArray[np.float64], longest: float
 ) -> NDArray[np.int64]:
-    """Return the number [M] of the part of each point that links [M, B] of at most this length connect.
+    """Return the connected component [M] of each point, by links [M, B] of at most this length.
 
-    Parts are numbered by their first points.
+    Components are numbered by their first points.
     """
     core = native_core()
     if core is None:

@@ -33,8 +33,8 @@ def points_preview(points: Tensor, colors: Tensor) -> NDArray[np.uint8]:
 
 
 def cameras_preview(viewmats: Tensor) -> NDArray[np.uint8]:
-    """Return where cameras [C, 4, 4] world-to-camera are and look, seen from above: [H, W, 3]. Upwards is what is
-    upwards in most images.
+    """Draw positions and view directions of cameras [C, 4, 4] world-to-camera from above: [H, W, 3]. Up is the up
+    direction of most images.
     """
     from PIL import Image, ImageDraw
 

@@ -236,7 +236,7 @@ class Regions:
 
 
 def codes_problem(dim: int) -> str:
-    """Return why embeddings of so few dimensions are none, and the remedy; "" for others."""
+    """Return why vectors of so few dimensions are not embeddings, and the remedy; "" if they are."""
     if dim >= _SURE_CODES:
         return ""
     return (

@@ -15,9 +15,9 @@ _REMEDY = "export or train the splat again, or remove them (in the SuperSplat ed
 
 
 def sanity_problems(gaussians: Gaussians) -> list[str]:
-    """Return what is implausible about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
+    """Return implausible properties of Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
 
-    The extent is that of the middle 90 % along each axis, so that some stray Gaussians do not hide themselves.
+    The extent is that of the middle 90 % along each axis, so that stray Gaussians do not enlarge it.
     """
     if not len(gaussians):
         return []

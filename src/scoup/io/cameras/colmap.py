@@ -88,7 +88,7 @@ def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
 
 
 def _points_of(folder: str | Path) -> tuple[ModuleType, Path]:
-    """Return what parses the points of a model, and their file."""
+    """Return the parser of the points of a model, and their file."""
     folder = existing_folder(folder, "a COLMAP model folder")
     for end, parser in _PARSERS.items():
         if (folder / f"points3D{end}").is_file():

@@ -1,4 +1,4 @@
-"""The records COLMAP's files hold, binary or text."""
+"""The records of COLMAP's files, binary or text."""
 
 from __future__ import annotations
 

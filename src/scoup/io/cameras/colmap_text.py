@@ -18,7 +18,7 @@ _REMEDY = "the file is cut short or damaged; copy or export it again"
 def read_lenses(path: Path) -> dict[int, Lens]:
     """Read cameras.txt: lenses by number."""
     lenses = {}
-    for place, line in _lines(path):
+    for number, line in _lines(path):
         if not line:
             continue
         words = line.split()
@@ -26,9 +26,9 @@ def read_lenses(path: Path) -> dict[int, Lens]:
             identifier, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
             parameters = tuple(float(word) for word in words[4:])
         except (ValueError, IndexError) as error:
-            raise _damaged(path, place) from error
+            raise _damaged(path, number) from error
         if len(parameters) != PARAMETER_COUNTS.get(model, len(parameters)):
-            raise _damaged(path, place)
+            raise _damaged(path, number)
         lenses[identifier] = Lens(model, width, height, parameters)
     return lenses
 
@@ -36,12 +36,12 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 def read_shots(path: Path) -> list[Shot]:
     """Read images.txt; lines of keypoints are skipped."""
     shots = []
-    for place, words in _image_lines(path):
+    for number, words in _image_lines(path):
         try:
             values = [float(word) for word in words[1:8]]
             shots.append(Shot(int(words[0]), words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
         except (ValueError, IndexError) as error:
-            raise _damaged(path, place) from error
+            raise _damaged(path, number) from error
     return shots
 
 
@@ -51,7 +51,7 @@ def read_points(path: Path) -> Points:
     colors: list[list[int]] = []
     lengths: list[int] = []
     images = array("q")
-    for place, line in _lines(path):
+    for number, line in _lines(path):
         if not line:
             continue
         words = line.split()
@@ -60,9 +60,9 @@ def read_points(path: Path) -> Points:
             colors.append([int(word) for word in words[4:7]])
             images.extend(int(word) for word in words[8::2])
         except (ValueError, OverflowError) as error:
-            raise _damaged(path, place) from error
+            raise _damaged(path, number) from error
         if len(colors[-1]) != 3 or not all(0 <= value <= 255 for value in colors[-1]):
-            raise _damaged(path, place)
+            raise _damaged(path, number)
         lengths.append(len(words[8::2]))
     return Points(
         np.array(positions).reshape(-1, 3),
@@ -75,22 +75,22 @@ def read_points(path: Path) -> Points:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Return numbered lines without comments; empty ones are kept (in images.txt: an image without keypoints)."""
     text = read_text(existing_file(path, "a file of a COLMAP model"))
-    for place, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if not line.startswith("#"):
-            yield place, line.strip()
+            yield number, line.strip()
 
 
 def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Return the words of images, name last. After each follow keypoints, perhaps none, or at once the next image."""
     after_image = False
-    for place, line in _lines(path):
+    for number, line in _lines(path):
         words = line.split(maxsplit=9)
         # Keypoints end in the number of a point, images in a name.
         ends_in_number = bool(words) and words[-1].split()[-1].lstrip("-").isdecimal()
         after_image = bool(words) and not (after_image and ends_in_number)
         if after_image:
-            yield place, words
+            yield number, words
 
 
-def _damaged(path: Path, place: int) -> FileFormatError:
-    return FileFormatError(path, f"line {place} is not in COLMAP's format", _REMEDY)
+def _damaged(path: Path, number: int) -> FileFormatError:
+    return FileFormatError(path, f"line {number} is not in COLMAP's format", _REMEDY)

@@ -21,9 +21,8 @@ _REMEDY = "use cameras in the frame of the splat"
 def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = None) -> Cameras:
     """Return all cameras of a COLMAP model with points in the frame of the splat that gsplat's trainer made of it.
 
-    Which side of the axes is which depends on the trainer's version and machine: of the four turns that the axes leave
-    open, that which brings the points nearest to the ``means`` [N, 3] of the splat, if they are at hand, is taken, if
-    it is clearly better than none.
+    The signs of the axes depend on the trainer's version and machine. Of the four possible turns, the one that brings
+    the points nearest to the ``means`` [N, 3] of the splat is used, if it is clearly better than none.
     """
     points = read_points(model)[0].astype(np.float32).astype(np.float64)  # the trainer keeps float32
     if len(points) < 3 or not np.isfinite(points).all():
@@ -57,7 +56,7 @@ def gsplat_normalisation(cameras: Sequence[Camera], points: np.ndarray) -> np.nd
 
 
 def _nearest_turn(transform: np.ndarray, points: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Return the identity or half a turn about an axis [4, 4]: whichever brings the moved points nearest to the
+    """Return the identity or a half-turn about an axis [4, 4]: whichever brings the moved points nearest to the
     means, by the median.
     """
     from scipy.spatial import KDTree

@@ -24,7 +24,7 @@ from scoup.scene import Cameras
 CAMERAS_JSON = (
     "cameras of nerfstudio (an object with a list of frames) or of Inria's code (a list of cameras)"
 )
-"""What a JSON file of cameras holds, for messages; which of both it is shows only when it is read."""
+"""Contents of a JSON file of cameras, for messages; only reading it shows the format."""
 _REMEDY = (
     "a JSON list is read as cameras of Inria's code, each with img_name, width, height, position, rotation, fx and fy; "
     "nerfstudio's transforms.json is an object with a list of frames"

@@ -1,4 +1,4 @@
-"""Folders that trainers write: nerfstudio's runs and gsplat's results. Which data they were trained on.
+"""Folders that trainers write (nerfstudio's runs, gsplat's results), and the data that they were trained on.
 
 Their configurations are YAML with tags that name Python objects. They are never loaded: the few lines that are needed
 are read as text.
@@ -113,23 +113,23 @@ def _plain(text: str, key: str) -> str | None:
 
 
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
-    """Return where the data that a configuration names are: as named, or below a folder above the run."""
+    """Locate the data that a configuration names: as named, or below a folder above the run."""
     path = Path(named.replace("\\", "/"))
     if _holds_cameras(path):
         return path
     above = [run.absolute(), *list(run.absolute().parents)[:_ABOVE]]
-    parts = [part for part in path.parts if part not in (path.anchor, "..")][-_MOST_PARTS:]
-    # The longest end of the named path that is there, with cameras in it: data are moved with their last folders.
+    parts = [name for name in path.parts if name not in (path.anchor, "..")][-_MOST_PARTS:]
+    # The longest existing end of the named path with cameras in it: data are moved with their last folders.
     for start in range(len(parts)):
         for folder in above:
-            place = folder.joinpath(*parts[start:])
-            if _holds_cameras(place):
-                return place
+            candidate = folder.joinpath(*parts[start:])
+            if _holds_cameras(candidate):
+                return candidate
     raise MissingFileError(config, f"was trained on {named}, which is not on this machine", remedy)
 
 
-def _holds_cameras(place: Path) -> bool:
+def _holds_cameras(path: Path) -> bool:
     """Return whether a path is transforms.json, or a folder that may be the data of a training."""
-    if os.path.isfile(place):  # Path.is_file raises for names that the system does not take
-        return place.suffix == ".json"
-    return any(os.path.exists(place / name) for name in (*TRANSFORMS, "sparse", "colmap/sparse"))
+    if os.path.isfile(path):  # Path.is_file raises for names that the system does not take
+        return path.suffix == ".json"
+    return any(os.path.exists(path / name) for name in (*TRANSFORMS, "sparse", "colmap/sparse"))

@@ -12,7 +12,7 @@ from scoup.scene import Camera
 
 
 def photograph_pixels(camera: Camera, width: int, height: int) -> Tensor:
-    """Return where each pixel of the ideal pinhole camera lies in the photograph.
+    """Map each pixel of the ideal pinhole camera to its position in the photograph.
 
     Args:
         camera: its K, size and distortion (k1, k2, p1, p2), OpenCV's model.

@@ -85,7 +85,7 @@ class CompactView:
 
 def stem_of(name: str) -> str:
     """Return the path of an image without its ending, which stays in the folder of the features."""
-    parts = [part for part in re.split(r"[\\/]", name) if part.strip(".") and not part.endswith(":")]
+    parts = [item for item in re.split(r"[\\/]", name) if item.strip(".") and not item.endswith(":")]
     *folders, last = parts or [name]
     stem, ending = os.path.splitext(last)
     return "/".join([*folders, stem if ending.lower() in EXTENSIONS else last])

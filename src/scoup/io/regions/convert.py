@@ -82,8 +82,8 @@ def _check_target(target: Path) -> None:
     """Refuse a folder of other files, before anything is written."""
     endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS)
     places = (path.relative_to(target) for path in target.rglob("*") if not path.is_dir())
-    others = (place for place in places if not place.name.endswith(endings))
-    shown = (place.parts[0] for place in others if not any(part.startswith(".") for part in place.parts))
+    others = (file for file in places if not file.name.endswith(endings))
+    shown = (file.parts[0] for file in others if not any(name.startswith(".") for name in file.parts))
     if foreign := sorted(set(islice(shown, 1000))):
         raise InputError(
             f"{target}: contains other files than region features ({listed(foreign)}); use a folder for them alone, "

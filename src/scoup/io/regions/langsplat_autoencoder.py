@@ -58,8 +58,8 @@ def read_autoencoder(path: str | Path) -> Decoder:
 
 def _decoded(rows: np.ndarray, layers: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     values = np.asarray(rows, np.float64)
-    for place, (weight, bias) in enumerate(layers):
-        values = (np.maximum(values, 0) if place else values) @ weight.T + bias
+    for index, (weight, bias) in enumerate(layers):
+        values = (np.maximum(values, 0) if index else values) @ weight.T + bias
     norms = np.linalg.norm(values, axis=1, keepdims=True)
     # LangSplat encodes unit rows only; one of zeros is a region without an embedding.
     known = (norms > 0) & np.asarray(rows).any(1, keepdims=True)

@@ -1,4 +1,4 @@
-"""LangSplat's label planes: which embedding rows belong to which level, and labels by level."""
+"""LangSplat's label planes: the embedding rows and the labels of each level."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 
 def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
-    """Return which of ``rows`` embeddings belong to which level, by the label values, global row numbers or -1, of
-    ``planes`` [4, H, W].
+    """Return the block of each level among ``rows`` embeddings, by the labels (global row numbers or -1) of ``planes``
+    [4, H, W].
 
     Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the level before
     them.

@@ -1,4 +1,4 @@
-"""``regions.json``: how a folder of region features was made, and of which photographs."""
+"""``regions.json``: settings and photographs of a folder of region features."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class RegionManifest:
         for name in sorted({*self.settings, *other.settings}):
             pairs[name] = (self.settings.get(name), other.settings.get(name))
         return [
-            f"{name}: {_short(mine)}, not {_short(theirs)}"
-            for name, (mine, theirs) in pairs.items()
-            if mine != theirs
+            f"{name}: {_short(ours)}, not {_short(theirs)}"
+            for name, (ours, theirs) in pairs.items()
+            if ours != theirs
         ]
 
 

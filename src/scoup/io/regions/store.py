@@ -76,9 +76,9 @@ class RegionStore:
         Args:
             overwrite: in place of another one; views made under that one no longer count.
         """
-        there, mine = read_manifest(self.folder), self.manifest
-        if mine is not None and (there is None or there != mine or there.views != mine.views):
-            write_manifest(self.folder, mine, overwrite or there == mine)
+        there, manifest = read_manifest(self.folder), self.manifest
+        if manifest is not None and (there is None or there != manifest or there.views != manifest.views):
+            write_manifest(self.folder, manifest, overwrite or there == manifest)
 
     @property
     def endings(self) -> tuple[str, ...]:

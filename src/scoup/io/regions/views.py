@@ -41,7 +41,7 @@ def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
     return sorted(
         path.as_posix().removesuffix(ending)
         for path in paths
-        if not any(part.startswith(".") for part in path.parts)
+        if not any(name.startswith(".") for name in path.parts)
     )
 
 
@@ -55,14 +55,14 @@ def match_stems(wanted: Iterable[str], there: Iterable[str]) -> dict[str, str]:
     for stem in there:
         exact[unicodedata.normalize("NFC", stem)].append(stem)
         cut[_parts(stem)[2]].append(stem)
-    found = {}
-    for each in wanted:
-        same = exact.get(unicodedata.normalize("NFC", each))
-        stems = same or [stem for stem in cut.get(_parts(each)[2], []) if _may_mean(each, stem)]
+    matches = {}
+    for image in wanted:
+        same = exact.get(unicodedata.normalize("NFC", image))
+        stems = same or [stem for stem in cut.get(_parts(image)[2], []) if _may_mean(image, stem)]
         if len(stems) == 1:
-            found[each] = stems[0]
-    claims = Counter(found.values())
-    return {each: stem for each, stem in found.items() if claims[stem] == 1}
+            matches[image] = stems[0]
+    claims = Counter(matches.values())
+    return {image: stem for image, stem in matches.items() if claims[stem] == 1}
 
 
 def _parts(stem: str) -> tuple[str, str, str]:

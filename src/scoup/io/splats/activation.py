@@ -86,22 +86,22 @@ def keep_finite(
 ) -> tuple[Gaussians, np.ndarray]:
     """Return Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are."""
     arrays = [means, quats, scales, opacities, sh]
-    kept = finite_rows(arrays)
-    if not kept.all():
-        warn_of_dropped(len(kept) - int(kept.sum()), len(kept), source, stacklevel=5)
-        arrays = [array[kept] for array in arrays]
+    finite = finite_rows(arrays)
+    if not finite.all():
+        warn_of_dropped(len(finite) - int(finite.sum()), len(finite), source, stacklevel=5)
+        arrays = [array[finite] for array in arrays]
     tensors = [torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays]
-    return Gaussians(*tensors), kept
+    return Gaussians(*tensors), finite
 
 
 def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """Return boolean [N]: rows that are finite in all arrays [N, ...]."""
-    kept = np.ones(len(arrays[0]), bool)
+    rows = np.ones(len(arrays[0]), bool)
     for array in arrays:
         finite = np.isfinite(array)
         if not finite.all():  # row by row takes ten times as long
-            kept &= finite.all(tuple(range(1, array.ndim)))
-    return kept
+            rows &= finite.all(tuple(range(1, array.ndim)))
+    return rows
 
 
 def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) -> None:

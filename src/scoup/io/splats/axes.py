@@ -27,7 +27,7 @@ def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:
 
 
 def flipped(columns: Mapping[str, np.ndarray], signs: Sequence[int]) -> Columns:
-    """Return Gaussians in axes of which those with the sign -1 point the other way; all other bits stay."""
+    """Return Gaussians with the axes of sign -1 reversed; all other bits stay."""
     x, y, z = signs
     sh = columns["sh"]
     with np.errstate(all="ignore"):  # rows that are not finite are dropped later

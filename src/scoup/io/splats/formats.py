@@ -1,4 +1,4 @@
-"""The table of splat formats, and which of them a path has."""
+"""The table of splat formats, and the format of a path."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def format_of(path: str | Path) -> SplatFormat | None:
         for ending in kind.endings
         if path.name.lower().endswith(ending) and kind.has_name(path)
     ]
-    return max(endings, key=lambda each: each[0])[1] if endings else None
+    return max(endings, key=lambda entry: entry[0])[1] if endings else None
 
 
 def is_splat_name(path: str | Path) -> bool:
@@ -96,7 +96,7 @@ def written_format(path: str | Path, also: str = "") -> SplatFormat:
     ``also`` can be written."""
     kind = format_of(path)
     if kind is None or kind.write is None:
-        written = [ending for each in FORMATS.values() if each.write is not None for ending in each.endings]
+        written = [ending for item in FORMATS.values() if item.write is not None for ending in item.endings]
         known = ", ".join(written) + (f", or {also}" if also else "")
         suffix = Path(path).suffix.lower() or "a file without extension"
         raise InputError(f"{path}: cannot write Gaussians as {suffix}; use one of {known}")
@@ -142,7 +142,7 @@ def _only_splat(folder: Path) -> SplatSource:
         if kind and kind.read and kind.in_scenes and file.is_file() and file.name != "input.ply":
             splats.append(SplatSource(file, kind, kind.preset))
     if len(splats) != 1:
-        names = listed([each.path.name for each in splats], 5)
+        names = listed([source.path.name for source in splats], 5)
         problem = f"contains {len(splats)} splats ({names})" if splats else "contains no trained splat"
         raise MissingFileError(folder, problem, "name the file of the splat itself")
     return splats[0]

@@ -63,8 +63,8 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
 def read_sog_folder(path: str | Path) -> Gaussians:
     """Read the meta.json of a SOG whose images lie beside it, which a .sog has in one archive."""
     content = read_json(path, "the meta.json of a SOG")
-    parts = [part for part in content.object().values() if isinstance(part, dict)]
-    names = [name for part in parts for name in part.get("files", []) if isinstance(name, str)]
+    entries = [entry for entry in content.object().values() if isinstance(entry, dict)]
+    names = [name for entry in entries for name in entry.get("files", []) if isinstance(name, str)]
     if "means" not in content.object() or not names:
         raise FileFormatError(path, "is not the meta.json of a SOG", _WHAT_IT_IS)
     with tempfile.TemporaryDirectory(prefix="scoup-") as folder:

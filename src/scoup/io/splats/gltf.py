@@ -29,7 +29,7 @@ from scoup.scene import Gaussians
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
-# What they concern are meshes beside the Gaussians.
+# Extensions of meshes beside the Gaussians.
 _OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 # Bytes of Gaussians for a byte of the file, plain and as SPZ; beyond it primitives repeat accessors to no end.
 _REPEATS, _REPEATS_PACKED = 32, 500
@@ -106,27 +106,27 @@ def _placed_splats(document: GltfDocument) -> tuple[list[JsonNode], np.ndarray]:
     """Return the primitives with Gaussians of the scene, and the translation [3] float64 of their node."""
     waiting = [(index, np.zeros(3), "") for index in reversed(_roots(document))]
     seen: set[str] = set()
-    found: tuple[list[JsonNode], np.ndarray, str] | None = None
+    placed: tuple[list[JsonNode], np.ndarray, str] | None = None
     while waiting:
         index, translation, turning = waiting.pop()
         node = document.entry("nodes", index)
         if node.place in seen:
             raise document.error(f"{node.place} has several parents, or is below itself")
         seen.add(node.place)
-        own = _own_translation(node)
-        turning = turning or (node.place if own is None else "")
-        translation = translation if own is None else translation + own
+        offset = _own_translation(node)
+        turning = turning or (node.place if offset is None else "")
+        translation = translation if offset is None else translation + offset
         mesh = node.get("mesh")
         if mesh.value is not None and (splats := _splat_primitives(document.entry("meshes", mesh))):
             if turning:
                 raise document.error(f"{turning} rotates or scales its Gaussians", _TURN)
-            if found is not None:
-                raise document.error(f"{found[2]} and {node.place} both contain Gaussians", _MERGE)
-            found = splats, translation, node.place
+            if placed is not None:
+                raise document.error(f"{placed[2]} and {node.place} both contain Gaussians", _MERGE)
+            placed = splats, translation, node.place
         waiting += [(child, translation, turning) for child in reversed(_nodes(node, "children"))]
-    if found is None:
+    if placed is None:
         raise _no_gaussians(document)
-    return found[:2]
+    return placed[:2]
 
 
 def _splat_primitives(mesh: JsonNode) -> list[JsonNode]:
@@ -167,7 +167,6 @@ def _own_translation(node: JsonNode) -> np.ndarray | None:
 
 
 def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
-    """Return the values of a primitive."""
     if primitive.get("mode").value != 0:
         raise document.error("its Gaussians are not points (mode 0)", "export it again")
     splats = primitive.get("extensions").get(SPLATS)
@@ -206,7 +205,7 @@ def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
         "scales": np.abs(column(f"{SPLATS}:SCALE", "VEC3", plain=True)),
         "opacities": column(f"{SPLATS}:OPACITY", "SCALAR")[:, 0].clip(0.0, 1.0),
     }
-    if len({len(each) for each in (*columns.values(), *coefficients)}) > 1:
+    if len({len(values) for values in (*columns.values(), *coefficients)}) > 1:
         raise document.error("the attributes of its Gaussians have different counts")
     return {**columns, "sh": np.stack(coefficients, axis=1)}
 

@@ -71,7 +71,7 @@ class GltfDocument:
 
     @property
     def data_bytes(self) -> int:
-        """Return how many bytes of buffers were opened so far."""
+        """Return the bytes of buffers opened so far."""
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
     def column(self, index: JsonNode, kind: str, plain: bool = False) -> np.ndarray:
@@ -188,16 +188,16 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
         problem = f"has {counted(len(data), 'byte')}, but its header says {length}"
         raise FileFormatError(path, problem, "the file is cut short or damaged; copy it again")
     chunks: list[tuple[bytes, memoryview]] = []
-    place = HEADER.size
-    while place < length and len(chunks) < 2:  # others are of extensions, and to be ignored
-        if place + CHUNK.size > length:
+    offset = HEADER.size
+    while offset < length and len(chunks) < 2:  # others are of extensions, and to be ignored
+        if offset + CHUNK.size > length:
             raise FileFormatError(path, "ends within the header of a chunk", _DAMAGED)
-        size, kind = CHUNK.unpack_from(data, place)
-        place += CHUNK.size
-        if place + size > length:
+        size, kind = CHUNK.unpack_from(data, offset)
+        offset += CHUNK.size
+        if offset + size > length:
             raise FileFormatError(path, "has a chunk that reaches beyond its end", _DAMAGED)
-        chunks.append((kind, memoryview(data)[place : place + size]))
-        place += size
+        chunks.append((kind, memoryview(data)[offset : offset + size]))
+        offset += size
     if not chunks or chunks[0][0] != JSON_CHUNK:
         raise FileFormatError(path, "does not begin with JSON", _DAMAGED)
     binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BINARY_CHUNK else None

@@ -34,12 +34,12 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     files = latest_ranks(path) if path.is_dir() else [path]
-    parts = [_read_splats(file) for file in files]
-    if len({part["shN"].shape[1] for part in parts}) > 1:
+    ranks = [_read_splats(file) for file in files]
+    if len({rank["shN"].shape[1] for rank in ranks}) > 1:
         raise FileFormatError(
             path, "its ranks differ in SH degree", "they are from different runs; remove the old ones"
         )
-    raw = {key: np.concatenate([part[key] for part in parts]) for key in _SHAPES}
+    raw = {key: np.concatenate([rank[key] for rank in ranks]) for key in _SHAPES}
     sh = np.concatenate([raw["sh0"], raw["shN"]], axis=1)
     columns = (raw["means"], raw["quats"], raw["scales"], raw["opacities"])
     return trained_gaussians(path, *columns, sh, _WHAT)[0]

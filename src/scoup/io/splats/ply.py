@@ -70,9 +70,9 @@ class PlyTable:
 
     def with_column(self, name: str, values: np.ndarray) -> PlyTable:
         """Return the table with one more property at the end (or another one in its place), for example an id."""
-        kept = [(item, self.rows.dtype[item]) for item in self.names if item != name]
-        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder("<"))])
-        for item, _ in kept:
+        columns = [(item, self.rows.dtype[item]) for item in self.names if item != name]
+        rows = np.empty(len(self.rows), dtype=[*columns, (name, ply_type(values.dtype).newbyteorder("<"))])
+        for item, _ in columns:
             rows[item] = self.rows[item]
         rows[name] = values
         return replace(self, rows=rows)

@@ -1,4 +1,4 @@
-"""The header of a PLY file: where its vertices (or another element) lie, and of which type they are."""
+"""The header of a PLY file: position and type of its vertices (or another element)."""
 
 from __future__ import annotations
 

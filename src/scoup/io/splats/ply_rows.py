@@ -33,12 +33,12 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
     count = 0
     for first in range(0, header.count, AT_A_TIME):
         block = activate(_read_binary(header, first, min(AT_A_TIME, header.count - first)))
-        kept = finite_rows(list(block.values()))
-        end = count + int(kept.sum())
+        finite = finite_rows(list(block.values()))
+        end = count + int(finite.sum())
         for name, values in block.items():
             if name not in arrays:
                 arrays[name] = scratch_array((header.count, *values.shape[1:]), np.float32)
-            arrays[name][count:end] = values[kept]
+            arrays[name][count:end] = values[finite]
         count = end
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)

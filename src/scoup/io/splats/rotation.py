@@ -17,8 +17,8 @@ def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which component of unit quaternions [N, 4] is the largest in size [N], and the others [N, 3], in their
-    order and with the sign that makes the largest positive."""
+    """Return the index [N] of the largest component by size of unit quaternions [N, 4], and the others [N, 3] in order,
+    with the sign that makes the largest positive."""
     which = np.abs(quats).argmax(1)
     is_largest = np.arange(4) == which[:, None]
     positive = quats * np.where(quats[is_largest] < 0, -1.0, 1.0)[:, None]
@@ -44,12 +44,12 @@ def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         return sh
     directions, most = spread_directions(64), round(sh.shape[1] ** 0.5) - 1
     before, after = (
-        sh_basis(torch.from_numpy(each), most).numpy() for each in (directions @ rotation, directions)
+        sh_basis(torch.from_numpy(vectors), most).numpy() for vectors in (directions @ rotation, directions)
     )
     turned = [sh[:, :1].astype(np.float32)]
     for degree in range(1, most + 1):
-        part = slice(degree * degree - 1, (degree + 1) ** 2 - 1)  # without the constant one
-        matrix = np.linalg.lstsq(after[:, part], before[:, part], rcond=None)[0]
+        columns = slice(degree * degree - 1, (degree + 1) ** 2 - 1)  # without the constant one
+        matrix = np.linalg.lstsq(after[:, columns], before[:, columns], rcond=None)[0]
         coefficients = sh[:, degree * degree : (degree + 1) ** 2].astype(np.float64)
         with np.errstate(all="ignore"):
             turned.append(np.einsum("ij,njc->nic", matrix, coefficients).astype(np.float32))

@@ -57,10 +57,10 @@ class SplatFormat(Entry):
     axis: Axis | None = None
     """Of the half-turn that reading and writing make, for a format that names its axes."""
     has_name: Callable[[Path], bool] = lambda path: True
-    """Whether a file with one of the endings is of this format, by its name."""
+    """Tells by its name if a file with one of the endings is of this format."""
     find: Callable[[Path], Path | None] = lambda folder: None
     """Return the splat of a folder that a training has left: a file, or the folder itself; None if it is not one."""
     keeps_antialiased: bool = False
-    """Whether its files say that a splat was trained with antialiasing."""
+    """True if its files record training with antialiasing."""
     in_scenes: bool = True
-    """Whether a file of this format in the folder of a scene is its splat, and not a mesh."""
+    """True if a file of this format in the folder of a scene is its splat, and not a mesh."""

@@ -54,8 +54,8 @@ def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
     header, parts = read_container(path, content)
     count = header.count
     byte = {
-        name: np.frombuffer(part, np.uint8).reshape(count, header.row_sizes[name])
-        for name, part in parts.items()
+        name: np.frombuffer(data, np.uint8).reshape(count, header.row_sizes[name])
+        for name, data in parts.items()
     }
     with np.errstate(all="ignore"):
         sh = np.empty((count, (header.degree + 1) ** 2, 3))

@@ -42,7 +42,7 @@ class SpzHeader:
     degree: int  # of the spherical harmonics, 0 to 4
     fraction_bits: int  # bits after the binary point of a coordinate
     antialiased: bool = False  # rasterised with compensated opacities
-    axes: str = "RUB"  # where x, y, z point: left or right, up or down, front or back
+    axes: str = "RUB"  # directions of x, y, z: left or right, up or down, front or back
 
     @property
     def row_sizes(self) -> dict[str, int]:
@@ -59,7 +59,7 @@ class SpzHeader:
     @property
     def sizes(self) -> dict[str, int]:
         """Bytes of each attribute."""
-        return {name: self.count * each for name, each in self.row_sizes.items()}
+        return {name: self.count * size for name, size in self.row_sizes.items()}
 
 
 def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
@@ -83,10 +83,10 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
         raise FileFormatError(
             path, f"does not contain the {header.count:,} Gaussians of its header", _DAMAGED
         )
-    parts, place = {}, 0
+    parts, offset = {}, 0
     for name, size in header.sizes.items():
-        parts[name] = body[place : place + size]
-        place += size
+        parts[name] = body[offset : offset + size]
+        offset += size
     return _extended(path, header, more), parts
 
 
@@ -104,7 +104,7 @@ def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
     # Without higher harmonics there is no stream of them; the format's own reader counts.
     names = [name for name, size in header.row_sizes.items() if size]
     streams = [zstandard.ZstdCompressor(level=12).compress(parts[name]) for name in names]
-    table = [_STREAM.pack(len(each), len(parts[name])) for name, each in zip(names, streams, strict=True)]
+    table = [_STREAM.pack(len(data), len(parts[name])) for name, data in zip(names, streams, strict=True)]
     head = _START.pack(*start, len(streams)) + _PLACE.pack(_START.size + _PLACE.size)
     return b"".join([head, *table, *streams])
 
@@ -114,22 +114,22 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
     header, flags, count = _header(path, content, len(content))
     if header.version < 4 or len(content) < _START.size + _PLACE.size:
         raise FileFormatError(path, "is cut short, or its header is damaged", _DAMAGED)
-    (place,) = _PLACE.unpack_from(content, _START.size)
-    after = place + count * _STREAM.size
+    (offset,) = _PLACE.unpack_from(content, _START.size)
+    after = offset + count * _STREAM.size
     if (
-        place < _START.size + _PLACE.size
+        offset < _START.size + _PLACE.size
         or after > len(content)
         or count < len(header.sizes) - (not header.degree)
     ):
         raise FileFormatError(path, "has no whole table of streams", _DAMAGED)
     if flags & _HAS_EXTENSIONS:
-        header = _extended(path, header, content[_START.size + _PLACE.size : place])
+        header = _extended(path, header, content[_START.size + _PLACE.size : offset])
     parts = {}
     for number, (name, size) in enumerate(header.sizes.items()):
         if number >= count:
             parts[name] = b""
             continue
-        packed, original = _STREAM.unpack_from(content, place + number * _STREAM.size)
+        packed, original = _STREAM.unpack_from(content, offset + number * _STREAM.size)
         if original != size or after + packed > len(content):
             problem = f"has {name} of {original} bytes for {header.count:,} Gaussians, or is cut short"
             raise FileFormatError(path, problem, _DAMAGED)
@@ -139,16 +139,16 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
 
 
 def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
-    """Return the header with what the records of extensions say; those that are not known get a warning."""
-    place = 0
-    while place < len(records):
-        kind, size = _RECORD.unpack_from(records.ljust(place + _RECORD.size, b"\0"), place)
-        start = place + _RECORD.size
-        place = start + size
-        if place > len(records):
+    """Return the header with the records of extensions applied; unknown ones get a warning."""
+    offset = 0
+    while offset < len(records):
+        kind, size = _RECORD.unpack_from(records.ljust(offset + _RECORD.size, b"\0"), offset)
+        start = offset + _RECORD.size
+        offset = start + size
+        if offset > len(records):
             raise FileFormatError(path, "has a record of an extension that is cut short", _DAMAGED)
         if kind == _AXES:
-            number = int.from_bytes(records[start:place], "little")
+            number = int.from_bytes(records[start:offset], "little")
             if number > 16 or size != 4:
                 problem = f"has axes of the unknown kind {number}"
                 raise FileFormatError(path, problem, "export it again without SPZ_ADOBE_coordinate_system")
@@ -164,7 +164,7 @@ def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
 
 
 def _axes(number: int) -> str:
-    """Return where x, y, z point, by a number of the extension."""
+    """Return the directions of x, y, z for a number of the extension."""
     bits = (number or 4) - 1  # 0: not said
     x, height, depth = "LR"[bits & 1], "DU"[bits >> 1 & 1], "BF"[bits >> 2 & 1]
     return f"{x}{'FB'[bits >> 2 & 1]}{height}" if bits & 8 else f"{x}{height}{depth}"

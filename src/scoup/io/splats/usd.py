@@ -105,7 +105,6 @@ def _pack(layer: Path, package: Path, path: Path) -> None:
 
 
 def _package(path: Path) -> Any:
-    """Return usd-core."""
     try:
         package: Any = import_module("pxr")
         for name in ("Gf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdVol", "Vt"):
