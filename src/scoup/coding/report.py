@@ -49,8 +49,8 @@ def decoded_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
     """Return [R] float32: cosine between each row [R, D] and its code decoded with ``atoms`` [L, D] in chunks; 0 where
     either is zero."""
     blocks = [
-        torch.nn.functional.cosine_similarity(codes.rows(part).to_dense() @ atoms, rows[part], dim=1)
-        for part in (slice(start, start + 8192) for start in range(0, len(rows), 8192))
+        torch.nn.functional.cosine_similarity(codes.rows(block).to_dense() @ atoms, rows[block], dim=1)
+        for block in (slice(start, start + 8192) for start in range(0, len(rows), 8192))
     ]
     return torch.cat(blocks) if blocks else rows.new_zeros(0)
 
