@@ -99,8 +99,8 @@ def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
     moved: dict[str, Tensor] = {}
     for name, rows in gaussians.tensors().items():
         moved[name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
-        for into, part in zip(moved[name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
-            into.copy_(rows[part])
+        for into, chunk in zip(moved[name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
+            into.copy_(rows[chunk])
     return dataclasses.replace(gaussians, **moved)
 
 

@@ -91,8 +91,8 @@ def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Trito
     with torch.cuda.device_of(gaussians.means):
         table = camera_table(camera, preset, device)
         scene = [
-            part.contiguous()
-            for part in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
+            tensor.contiguous()
+            for tensor in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
         ]
         means, _, scales, opacities = scene
         count = len(gaussians)

@@ -153,13 +153,13 @@ def render_cosines_and_norms(
     # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
     shape = (levels, count + 1, projection.height, projection.width)
-    found = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
+    products = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
     device = projection.device
     counting = indices.to(device).long() < codebook.shape[1]
     of_codes = (weights.to(device).float() * counting).sum(-1)
     sums = render_channels(projection, of_codes)[0].permute(2, 0, 1)  # [S, H, W]
-    shares = found[:, count]
-    return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
+    shares = products[:, count]
+    return products[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
 
 
 def render_features(
@@ -231,11 +231,11 @@ def _products_by_level(
         chosen = slice(level, level + 1)
         codes = render_codes(projection, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
         for row, line in enumerate(codes):  # [W, L]
-            found = cosines_and_norms(line, table[level], grams[level])[0]
+            cosines = cosines_and_norms(line, table[level], grams[level])[0]
             if pixels_last:
-                out[level, :, row] = found.T
+                out[level, :, row] = cosines.T
             else:
-                out[level, row] = found
+                out[level, row] = cosines
     return out
 
 

@@ -52,9 +52,9 @@ def gaussians_of(numbers, start, end, CHUNK: tl.constexpr):
     """Rows in the scene of the Gaussians ``start`` to ``start + CHUNK`` of a tile's list, and whether they are there,
     [G] each. ``numbers`` are the records as int32.
     """
-    place = tl.arange(0, CHUNK)
-    there = place < end - start
-    gaussian = tl.load(numbers + start * RECORD + (place * RECORD + ROW), mask=there, other=0)
+    lane = tl.arange(0, CHUNK)
+    there = lane < end - start
+    gaussian = tl.load(numbers + start * RECORD + (lane * RECORD + ROW), mask=there, other=0)
     return gaussian, there
 
 
