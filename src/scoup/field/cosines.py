@@ -70,10 +70,10 @@ class FieldCodes:
 
     def coded(self) -> Tensor:
         """Return which Gaussians have a code at each level, boolean [S, N]."""
-        found = torch.zeros(self.weights.shape[:2], dtype=torch.bool, device=self.weights.device)
+        mask = torch.zeros(self.weights.shape[:2], dtype=torch.bool, device=self.weights.device)
         for weights in self.weights.unbind(-1):
-            found |= weights > 0
-        return found.T.contiguous()
+            mask |= weights > 0
+        return mask.T.contiguous()
 
     def atom_scores(self, vectors: Tensor) -> Tensor:
         """Return the products [S, L, Q] of the atoms with vectors [Q, D]."""
@@ -137,8 +137,8 @@ def pixel_relevancy(
     same_phrases = known is not None and torch.equal(known.canonical, canonical)
     vectors = queries if same_phrases else torch.cat([queries, canonical])
     if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:
-        maps, found = _rendered_in_full(projection, codes, queries, canonical)
-        return maps, known if known is not None and same_phrases else found
+        maps, pixel_cosines = _rendered_in_full(projection, codes, queries, canonical)
+        return maps, known if known is not None and same_phrases else pixel_cosines
     cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
     if not same_phrases:
         cosines, others = cosines[..., : len(queries)], cosines[..., len(queries) :]

@@ -53,6 +53,6 @@ def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
     return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
 
 
-def _where(place: Path | None) -> str | None:
+def _where(path: Path | None) -> str | None:
     """Return the path of a file that the field names, and whether it is missing."""
-    return None if place is None else str(place) + ("" if os.path.exists(place) else " (not there)")
+    return None if path is None else str(path) + ("" if os.path.exists(path) else " (not there)")

@@ -274,14 +274,14 @@ class Field:
 
     def to(self: Own, device: torch.device | str) -> Own:
         """Return the field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
-        place, known = torch.empty(0, device=device).device, self._gaussians
+        target, known = torch.empty(0, device=device).device, self._gaussians
         parts = [
             self.code_indices,
             self.code_weights,
             self.codebook,
             *([] if known is None else [known.means]),
         ]
-        if all(part.device == place for part in parts):
+        if all(tensor.device == target for tensor in parts):
             return self
         moved = self.changed(
             None if known is None else known.to(device),
