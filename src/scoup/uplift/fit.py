@@ -94,8 +94,8 @@ class Fit:
         """Views whose render is clearly more similar to the photograph of another view, and that view."""
         others = np.nan_to_num(self.others, nan=-1.0)
         best = others.argmax(1)
-        found = others.max(1, initial=-1.0)
-        wrong = self.compared & (found >= LIKE) & (found > self.own + BETTER)
+        highest = others.max(1, initial=-1.0)
+        wrong = self.compared & (highest >= LIKE) & (highest > self.own + BETTER)
         return [(self.names[view], self.names[best[view]]) for view in np.flatnonzero(wrong)]
 
     @property
@@ -120,10 +120,10 @@ class Fit:
         few = FEW * compared
         if len(self.unlike) <= few and not self.matches:
             return Verdict.FITS
-        own = np.where(self.coverage < LEAST_COVERED, 0.0, self.own)  # next to nothing looks like nothing
-        own = own[~np.isnan(own)]
-        is_wrong = np.median(own) < LIKE or len(self.mistaken) > few or self.matches
-        return Verdict.HOPELESS if is_wrong and len(own) >= ENOUGH else Verdict.DOUBTFUL
+        values = np.where(self.coverage < LEAST_COVERED, 0.0, self.own)  # hardly covered: unlike
+        values = values[~np.isnan(values)]
+        is_wrong = np.median(values) < LIKE or len(self.mistaken) > few or self.matches
+        return Verdict.HOPELESS if is_wrong and len(values) >= ENOUGH else Verdict.DOUBTFUL
 
     def describe(self) -> dict[str, Any]:
         """Return verdict, number of views tried, and medians of the measurements as JSON values."""
@@ -144,10 +144,10 @@ class Fit:
             some = share_of(len(blind), len(self.names), "camera tried", "cameras tried")
             said.append(f"{some} {verb(len(blind), 'sees', 'see')} nothing of the splat ({listed(blind)})")
         if unlike:
-            own = float(np.median(self.own[self.compared]))
+            median = float(np.median(self.own[self.compared]))
             some = share_of(len(unlike), int(self.compared.sum()), "render tried", "renders tried")
             differ = verb(len(unlike), "looks unlike its photograph", "look unlike their photographs")
-            said.append(f"{some} {differ} ({listed(unlike)}; median correlation {own:.2f})")
+            said.append(f"{some} {differ} ({listed(unlike)}; median correlation {median:.2f})")
         if self.matches:
             said.append(f"the photographs match {self.matches}")
         if self.mistaken:

@@ -51,8 +51,8 @@ def things_in_view(
         count = min(AT_A_TIME, len(table) - start)
         values = ones.new_zeros(len(gaussians), count)
         for owners in table.owners.to(values.device).T:
-            mine = ((owners >= start) & (owners < start + count)).nonzero()[:, 0]
-            values[mine, owners[mine].long() - start] = 1
+            members = ((owners >= start) & (owners < start + count)).nonzero()[:, 0]
+            values[members, owners[members].long() - start] = 1
         shares = raster.render_values(projection, values).permute(2, 0, 1).cpu()
         masks.append(shares > 0.5 * alpha.clamp(min=0.05))
     together = torch.cat(masks) if masks else torch.zeros(0, small.height, small.width, dtype=torch.bool)
@@ -66,17 +66,17 @@ def _ends(counts: Tensor) -> tuple[Tensor, Tensor]:
     return (below <= 0.01).sum(1).float(), (below < 0.99).sum(1).float() + 1
 
 
-def overlaps(found: Detections, view: ThingsInView) -> Tensor:
+def overlaps(hits: Detections, view: ThingsInView) -> Tensor:
     """Return the intersection over union of each detection with each thing, [M, T]; 0 with things that are not seen."""
     height, width = view.masks.shape[1:]
-    if found.masks is None:
-        scale = torch.tensor([width / found.size[0], height / found.size[1]]).repeat(2)
-        ious = box_ious(found.boxes * scale, view.boxes)
+    if hits.masks is None:
+        scale = torch.tensor([width / hits.size[0], height / hits.size[1]]).repeat(2)
+        ious = box_ious(hits.boxes * scale, view.boxes)
     else:
-        masks = torch.nn.functional.interpolate(found.masks[:, None].float(), (height, width), mode="area")
-        mine, theirs = masks.flatten(1), view.masks.flatten(1).float()
-        both = mine @ theirs.T
-        ious = both / (mine.sum(1)[:, None] + theirs.sum(1) - both).clamp(min=1)
+        masks = torch.nn.functional.interpolate(hits.masks[:, None].float(), (height, width), mode="area")
+        detected, things = masks.flatten(1), view.masks.flatten(1).float()
+        both = detected @ things.T
+        ious = both / (detected.sum(1)[:, None] + things.sum(1) - both).clamp(min=1)
     return torch.where(view.seen, ious, 0.0)
 
 
@@ -100,19 +100,19 @@ class ViewVotes:
 
     def of_text(self, row: int) -> ViewVotes:
         """Return the votes of one text, as the only one."""
-        mine = self.rows == row
-        rows = torch.zeros_like(self.rows[mine])
-        return ViewVotes(rows, self.things[mine], self.votes[mine], self.seen, self.tops[row : row + 1])
+        chosen = self.rows == row
+        rows = torch.zeros_like(self.rows[chosen])
+        return ViewVotes(rows, self.things[chosen], self.votes[chosen], self.seen, self.tops[row : row + 1])
 
 
-def votes_in_view(view: ThingsInView, found: Detections, n_texts: int) -> ViewVotes:
+def votes_in_view(view: ThingsInView, hits: Detections, n_texts: int) -> ViewVotes:
     """Return the votes of the detections in one photograph, the best of each text for each thing."""
     count = max(1, len(view.masks))
-    ious = overlaps(found, view)
+    ious = overlaps(hits, view)
     row, thing = (ious >= constants.NAMING_IOU).nonzero(as_tuple=True)
-    keys, place = (found.texts[row] * count + thing).unique(return_inverse=True)
-    votes = torch.zeros(len(keys)).scatter_reduce_(0, place, found.scores[row] * ious[row, thing], "amax")
-    tops = torch.zeros(n_texts).scatter_reduce_(0, found.texts, found.scores, "amax")
+    keys, inverse = (hits.texts[row] * count + thing).unique(return_inverse=True)
+    votes = torch.zeros(len(keys)).scatter_reduce_(0, inverse, hits.scores[row] * ious[row, thing], "amax")
+    tops = torch.zeros(n_texts).scatter_reduce_(0, hits.texts, hits.scores, "amax")
     return ViewVotes(keys // count, keys % count, votes, view.seen, tops)
 
 
@@ -139,8 +139,8 @@ def name_things(
     """Let detections in V >= 1 photographs, which count the texts as ``texts`` does, vote for the things of a scene.
     All texts were looked for in all of the photographs."""
     counted = [
-        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), found, len(texts))
-        for camera, found in views
+        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), hits, len(texts))
+        for camera, hits in views
     ]
     return count_votes(texts, counted)
 
