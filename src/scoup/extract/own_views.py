@@ -152,13 +152,13 @@ def save_views(
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
         for camera in reported(cameras, "views", len(cameras), progress):
-            place = hidden / places[camera.name]
-            place.parent.mkdir(parents=True, exist_ok=True)
+            path = hidden / places[camera.name]
+            path.parent.mkdir(parents=True, exist_ok=True)
             projection = project(gaussians, camera)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
             seen[region_sums(projection, blank).gaussian.unique()] += 1
             picture = as_picture(render_colors(gaussians, camera, projection))
-            save_png(picture, place)
+            save_png(picture, path)
             tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(Cameras(replace(camera, image_path=None) for camera in cameras), hidden / TRANSFORMS)

@@ -80,12 +80,12 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
             raise FileFormatError(
                 scene, problem, "pass the folder that their names are relative to as `images`"
             )
-        return [Photograph(*each) for each in named]
+        return [Photograph(*item) for item in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
-        found = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
-        if found:
-            return found
+        photographs = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
+        if photographs:
+            return photographs
     remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
     raise MissingFileError(folders[0], "contains no photographs", remedy)
 
