@@ -117,8 +117,7 @@ def _similarities(rows: Tensor, atoms: Tensor, support: Tensor) -> Tensor:
 
 
 def _update_support(support: Tensor, logits: Tensor) -> None:
-    """Find the K largest logits again in the rows in which another has overtaken one of them; that is faster than to
-    find them in all rows."""
+    """Update the K largest logits of rows where another has overtaken one of them: faster than of all rows."""
     supported = logits.gather(1, support)
     others = logits.scatter(1, support, -torch.inf).amax(1)
     changed = (others > supported.amin(1)).nonzero()[:, 0]

@@ -82,7 +82,7 @@ def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> 
     toward = rows.new_zeros(n_atoms, rows.shape[1], dtype=torch.float64)
     for first in range(0, len(rows), _BLOCK_ROWS):
         block = slice(first, first + _BLOCK_ROWS)
-        # One column more takes the slots that are not used.
+        # An extra column takes the unused slots.
         support = codes.support[block].long()
         dense = rows.new_zeros(len(support), n_atoms + 1)
         dense.scatter_(1, support.where(support >= 0, n_atoms), codes.weights[block])
@@ -152,7 +152,7 @@ class _Problem:
         copies = torch.linalg.solve(within, rows)  # weights of the support in the copy of each atom
         residual = self.similarities - (solution.weights[:, :, None] * rows).sum(1)
         left = self.norms - (copies * rows).sum(1)
-        # Beside its own support no atom has anything left.
+        # Atoms in the support have no residual.
         in_support = torch.zeros_like(left).scatter_add_(1, atoms, used.to(left.dtype)) > 0
         residual, left = residual.masked_fill(in_support, 0.0), left.masked_fill(in_support, 0.0)
 
