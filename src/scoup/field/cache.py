@@ -12,7 +12,7 @@ from torch import Tensor
 
 Value = TypeVar("Value")
 Parts: TypeAlias = Sequence[object]
-"""What values are made from: tensors, and objects that do not change."""
+"""Sources of values: tensors, and objects that do not change."""
 State: TypeAlias = tuple[tuple[object, int], ...]
 
 ENTRY_BYTES = 512

@@ -46,7 +46,7 @@ def read_facts(path: Path) -> dict[str, Any]:
 
 
 def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Return how many things ``field.things()`` has."""
+    """Return the number of things in ``field.things()``."""
     if "things.owners" not in arrays:
         return 0
     counts = np.bincount(arrays["things.owners"].ravel())

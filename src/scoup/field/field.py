@@ -131,11 +131,11 @@ class Field:
         return self.levels.index(level)
 
     def coded(self) -> Tensor:
-        """Return which Gaussians have a code at any level, boolean [N]."""
+        """Return the mask of Gaussians with a code at any level, boolean [N]."""
         return self.coded_levels().any(0)
 
     def coded_levels(self) -> Tensor:
-        """Return which Gaussians have a code at each level, boolean [S, N]; do not change it."""
+        """Return the mask of Gaussians with a code at each level, boolean [S, N]; do not change it."""
         return self.kept("coded levels", self.codes.coded)
 
     def kept(self, key: Hashable, make: Callable[[], Value]) -> Value:
@@ -143,7 +143,7 @@ class Field:
         return self.cache.value(key, make, self.parts())
 
     def parts(self) -> list[object]:
-        """Return what answers depend on: tensors, and the cameras, which say where up is."""
+        """Return the dependencies of answers: tensors, and the cameras, which define up."""
         known = self._gaussians
         geometry = () if known is None else (known.means, known.scales, known.opacities)
         codes = self.code_indices, self.code_weights, self.codebook

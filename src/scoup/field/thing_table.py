@@ -29,7 +29,7 @@ class ThingTable:
     # [N, S] int32, the thing that each Gaussian belongs to at each level; ``NO_THING`` for none
     owners: Tensor
     levels: Tensor  # [T] uint8, position of the level of each thing, rising
-    # [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none
+    # [T] int32, the thing of the next coarser level that contains most of it; ``NO_THING`` for none
     parents: Tensor
     embeddings: Tensor  # [T, D] float16, mean embedding of its regions, unit norm
     # [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all equal
@@ -39,7 +39,7 @@ class ThingTable:
     # [T] float32, how consistently the views that see it segment it: the mean IoU of its regions with what it has in
     # each other view, 0 in views where it has no region
     stability: Tensor
-    names: NameTable | None = None  # that models with words gave to things
+    names: NameTable | None = None  # given by an open-vocabulary detector
 
     __repr__ = brief
 
@@ -84,7 +84,7 @@ class ThingTable:
         gaussians = torch.from_numpy(np.flatnonzero(weights.numpy()))  # few, as a rule
         owners = self.owners[gaussians.to(self.owners.device)].cpu() + 1
         totals, weights = torch.zeros(len(self) + 1, dtype=torch.float64), weights[gaussians].double()
-        for of_level in owners.T:  # in which other levels' numbers own nothing
+        for of_level in owners.T:  # numbers of other levels own nothing there
             totals += torch.bincount(of_level, weights, len(self) + 1)
         return totals[1:]
 
