@@ -108,4 +108,4 @@ def spread_views(regions: Regions, share: float) -> Regions:
     names = regions.view_names
     count = max(1, round(share * len(names)))
     places = ((np.arange(count) + 0.5) * len(names) / count).astype(int)
-    return regions.select(names[place] for place in places)
+    return regions.select(names[index] for index in places)

@@ -38,8 +38,8 @@ def piece_boxes(mask: Mask, least: float) -> list[Box]:
     """Return the boxes of the connected pieces of at least ``least`` pixels."""
     labels, count = components(mask)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    found = zip(ndimage.find_objects(labels), sizes, strict=True)
-    return [_box_of(box) for box, size in found if size >= least]
+    pieces = zip(ndimage.find_objects(labels), sizes, strict=True)
+    return [_box_of(box) for box, size in pieces if size >= least]
 
 
 def _box_of(box: tuple[slice, ...]) -> Box:
@@ -100,9 +100,9 @@ def _straightened(corners: Polygon) -> Polygon:
     turns = [
         corner for corner, before in zip(corners, [corners[-1], *corners], strict=False) if corner != before
     ]
-    kept = []
+    turned = []
     for number, (x, y) in enumerate(turns):
         (px, py), (nx, ny) = turns[number - 1], turns[(number + 1) % len(turns)]
         if (x - px) * (nx - x) + (y - py) * (ny - y) <= 0:
-            kept.append((x, y))
-    return kept or corners[:1]
+            turned.append((x, y))
+    return turned or corners[:1]

@@ -93,10 +93,10 @@ class DemoScene:
             box = mask_box(mask)
             if box is not None and int(mask.sum()) >= least:
                 masks[name] = mask
-                found = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
+                corners = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
                 # Corners of a label's box are pixels inside it.
-                found = found or [(box[0], box[1], box[2] - 1, box[3] - 1)]
-                boxes[name] = torch.tensor(found, dtype=torch.float32)
+                corners = corners or [(box[0], box[1], box[2] - 1, box[3] - 1)]
+                boxes[name] = torch.tensor(corners, dtype=torch.float32)
         return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, masks, boxes)
 
 
