@@ -1,4 +1,4 @@
-"""What a model with words finds in photographs, stored for ``build``, which names things by it."""
+"""Open-vocabulary detections in photographs, stored for ``build``, which names things by them."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from torch.nn import functional
 from scoup.extract.masks import Masks
 from scoup.models import DenseModel
 
-# Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
-# the work grows with the square.
+# Windows of the model's size along the shorter side of a photograph. More resolve smaller things; the work grows with
+# the square.
 WINDOWS = 2
 _MASKS_AT_ONCE = 64
 

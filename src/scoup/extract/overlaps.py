@@ -83,7 +83,7 @@ def keep_by_masks(
 
 
 def _cells(masks: Masks, seed: int) -> tuple[Any, NDArray[np.int64]]:
-    """Return which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
+    """Return the cells in each mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
     from scipy import sparse
 
     height, width = masks.size

@@ -102,13 +102,12 @@ def _check_numbers(width: int, height: int, count: int | None) -> None:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of a splat by views: shares of its opaque Gaussians, 0..1; where none is opaque, of those that can be
-    seen."""
+    """Coverage of a splat by views: shares of its opaque Gaussians, 0..1; where none is opaque, of the visible ones."""
 
     once: float
-    """Of those that one view or more shows."""
+    """Share shown by at least one view."""
     often: float
-    """Of those that three views or more show."""
+    """Share shown by at least three views."""
 
 
 def save_views(
@@ -171,7 +170,7 @@ def save_views(
 
 
 def _images_of_views(folder: Path) -> list[str]:
-    """Return the images that transforms.json of views made before names, relative to their folder."""
+    """Return the images named by the transforms.json of earlier views, relative to their folder."""
     if not all((folder / name).is_file() for name in (SHEET, TRANSFORMS)):
         return []
     named = (camera.image_path for camera in load_cameras(folder / TRANSFORMS, distorted="undistort"))

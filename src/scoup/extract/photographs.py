@@ -17,7 +17,7 @@ from scoup.io import DYNAMIC_MASK, EXTENSIONS, FACTORS, ImageFolder, camera_phot
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
-_MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
+_MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # mirrored left to right after the turns
 
 
 @dataclass(frozen=True)

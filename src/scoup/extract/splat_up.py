@@ -69,7 +69,7 @@ def _facing(normals: Tensor, weights: Tensor, axis: Tensor) -> tuple[Tensor, flo
 
 
 def _is_floor(means: Tensor, normals: Tensor, weights: Tensor, axis: Tensor) -> bool:
-    """Tell whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
+    """Return whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
     heights = means @ axis
     low, high = heights[:: max(1, len(heights) // 100_000)].quantile(heights.new_tensor([0.03, 0.97]))
     facing = weights * ((normals @ axis).abs() > CONE)

@@ -1,4 +1,4 @@
-"""How much each candidate camera shows of a splat, and the fewest that show it from several directions."""
+"""Scores of candidate cameras of a splat, and the fewest that show it from several directions."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class ViewScorer:
         return self.prepared.gaussians.means[self.counted]
 
     def scores(self, cameras: Iterable[Camera]) -> Scores:
-        """Return what cameras show, one at least."""
+        """Score cameras, one at least."""
         scored = [(camera, *self._score(camera)) for camera in cameras]
         taken, shown, direction, pictures = zip(*scored, strict=True)
         return Scores(list(taken), torch.stack(shown).half(), torch.stack(direction), torch.tensor(pictures))
