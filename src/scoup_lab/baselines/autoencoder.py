@@ -1,4 +1,4 @@
-"""LangSplat's autoencoder: three numbers for each region, and a network that makes an embedding of them again.
+"""LangSplat's autoencoder: three numbers per region, and a network that decodes them to an embedding.
 
 What sparse codes are compared with in method.md. A splat of LangSplat stores the three numbers for each Gaussian, and
 a picture of it three for each pixel; every query needs the network, which is trained for each scene.
@@ -131,7 +131,7 @@ def _trained(
     random: torch.Generator,
     progress: Progress,
 ) -> nn.Sequential:
-    """Return the network as it was after the best of the last epochs."""
+    """Return the checkpoint of the best of the last epochs."""
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     total = settings.epochs * len(_batches(torch.arange(len(rows)), settings.batch))
     best, chosen_network, done = -2.0, network, 0

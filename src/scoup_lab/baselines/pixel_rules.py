@@ -1,4 +1,4 @@
-"""Rules of which pixels count for which Gaussians.
+"""Rules for the pixels that count for a Gaussian.
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
@@ -73,13 +73,13 @@ class PairRule(ABC):
         each Gaussian, -1 for none."""
 
     def of_view(self, pairs: PixelWeights) -> PixelWeights:
-        """Return the pairs of a whole view that count, of those that count in its bands; all of them by default."""
+        """Filter the pairs of a whole view that count in its bands; by default all count."""
         return pairs
 
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """Return region sums of all views that count only what the rule keeps."""
+        """Return region sums of all views over the pairs that the rule keeps."""
         sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)

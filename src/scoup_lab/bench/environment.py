@@ -40,7 +40,7 @@ def describe_environment() -> dict[str, Any]:
 
 
 def in_one_line(environment: dict[str, Any]) -> str:
-    """Return the same for the head of a table."""
+    """Return one line for the head of a table."""
     parts = [
         f"{environment['cpu']}, {environment['cores']} cores",
         environment["gpu"],

@@ -27,7 +27,7 @@ class PixelScores:
     notes: tuple[str, ...] = ()  # for below the overall table
 
     def report(self, stem: str, levels: Sequence[str] = ()) -> Report:
-        """Return tables and record; ``levels`` name those that answered."""
+        """Return tables and record; ``levels`` are the names of the levels that answered."""
         of_papers = [published_table(self)] if self.published else []
         tables = [overall_table(self), scene_table(self), *of_papers, query_table(self, levels)]
         title = f"{self.protocol}, rules of {self.system}"

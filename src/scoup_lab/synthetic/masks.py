@@ -61,7 +61,7 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
 def _stacks(mask: Mask) -> list[list[Run]]:
     """Return the runs of a mask, cut into stacks in which each run touches only the one above and the one below."""
     stacks: list[list[Run]] = []
-    above: list[list[Run]] = []  # those that reach the row before
+    above: list[list[Run]] = []  # stacks that reach the row before
     for row, pixels in enumerate(mask):
         ends = np.flatnonzero(np.diff(pixels, prepend=False, append=False)).tolist()
         runs = [(row, first, after - 1) for first, after in zip(ends[::2], ends[1::2], strict=True)]
@@ -96,7 +96,7 @@ def _rim(runs: list[Run]) -> Polygon:
 
 
 def _straightened(corners: Polygon) -> Polygon:
-    """Return corners of upright and level edges without those that a straight run goes through."""
+    """Return corners of upright and level edges without collinear ones."""
     turns = [
         corner for corner, before in zip(corners, [corners[-1], *corners], strict=False) if corner != before
     ]

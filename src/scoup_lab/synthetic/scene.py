@@ -150,7 +150,7 @@ def make_demo_scene(
 
 
 def with_texts(scene: DemoScene, vectors: Mapping[str, np.ndarray]) -> DemoScene:
-    """Return the scene with more words; those that it has already keep their vectors."""
+    """Return the scene with more words; existing words keep their vectors."""
     words = scene.words
     new = {text: vector for text, vector in vectors.items() if text not in words.texts}
     texts, rows = (*words.texts, *new), np.concatenate([words.vectors, np.stack(list(new.values()))])

@@ -178,7 +178,7 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
     points, normals = points[shuffled], normals[shuffled]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     for distance in DISTANCES:
-        # What was apart so far stays: the order decides, and those are now first.
+        # Points that were apart so far stay: the order decides, and they are now first.
         apart = _thinned(points, distance * spacing)
         order = np.concatenate([np.flatnonzero(apart), np.flatnonzero(~apart)])
         points, normals = points[order], normals[order]

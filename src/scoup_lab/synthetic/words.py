@@ -88,7 +88,7 @@ def make_words(parts: Parts, rng: np.random.Generator) -> Words:
 
 
 def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
-    """Return [names, names] how much of each name's own random direction goes into a name's concept."""
+    """Return [names, names], the share of each name's own random direction in a name's concept."""
     kin = np.eye(len(names))
     for part, owner in zip(parts.parts, parts.object_of_part, strict=True):
         if part != parts.objects[owner]:

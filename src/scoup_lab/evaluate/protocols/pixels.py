@@ -31,7 +31,7 @@ class PixelProtocol(Entry):
         default_factory=lambda: {system: rule.threshold for system, rule in MASK_RULES.items()}
     )
     level_choice: LevelChoice | None = None  # in place of the rule's
-    levels: tuple[str, ...] | None = None  # those that may answer; None for all
+    levels: tuple[str, ...] | None = None  # levels that may answer; None for all
     localizes: bool = False  # whether points are scored too
     at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
 

@@ -1,5 +1,5 @@
-"""What counts where the unit is the point: the class a field gives each Gaussian, and how classes given are scored
-against the true ones (``scannet``; docs/evaluation.md).
+"""Scores by point: the class that a field gives each Gaussian, and its comparison with the true class
+(``scannet``; docs/evaluation.md).
 
 All of it counts points: a class that the truth lacks has no score, whatever was given.
 """

@@ -29,7 +29,7 @@ class ScoringRule:
     """A rule from maps to scores."""
 
     mask_rule: MaskRule  # constants and choice of the level
-    levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
+    levels: tuple[str, ...] | None = None  # names of levels that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
     coded: bool = (
         False  # draw only the Gaussians that have a code (``relevancy_of_coded``); of sparse codes only
