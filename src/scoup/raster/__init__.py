@@ -95,7 +95,7 @@ def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> Prepa
 
 
 def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
-    """Return ``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
+    """Return ``gaussians.select(order)`` in temporary files; a view loads only the rows that it sees."""
     moved: dict[str, Tensor] = {}
     for name, rows in gaussians.tensors().items():
         moved[name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
@@ -148,7 +148,7 @@ def project(
 
 
 def region_sums(projection: Projection, labels: Tensor | CombinedLabels) -> ViewSums:
-    """Return how much each Gaussian contributes to each region: A[i, r], the sum of e_i over the pixels of r
+    """Return the contribution of each Gaussian to each region: A[i, r], the sum of e_i over the pixels of r
     (method.md, stage 2).
 
     Args:

@@ -28,13 +28,13 @@ from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
 from scoup.scene import float32_products
 
-PREPARES = False  # rows in another order have not been seen to pay here
+PREPARES = False  # reordering showed no benefit
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
 MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "ieee": 64}
-# Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
-# that two products are added to in two ways, and moves them in between.
+# Of a program that renders codes. Hopper's matrix products use four warps; with eight, Triton gives a sum of two
+# products two layouts and converts between them.
 WARPS = 4
-# Columns that coefficients are multiplied with at a time. With 16, ptxas 12.8 (Triton 3.4 to 3.6) reads a descriptor of
+# Columns per product with the coefficients. With 16, ptxas 12.8 (Triton 3.4 to 3.6) reads a descriptor of
 # a matrix product from a register that it has not written; twice as many of 256 rows exceed 99 KB.
 COLUMNS = 32
 _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
@@ -273,12 +273,10 @@ def _bounds(projection: TritonProjection) -> tuple[float, float]:
 
 
 def _constants(projection: TritonProjection) -> dict[str, object]:
-    """Return the constants of every kernel."""
     return {**FUSED, "STOP_INCLUSIVE": projection.preset.stop_inclusive, "TILE": TILE}
 
 
 def _of_codes(codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
-    """Return the constants of a kernel that renders codes."""
     return {
         "CHUNK": blocks.chunk,
         "LEVELS": min(blocks.levels, levels_left),

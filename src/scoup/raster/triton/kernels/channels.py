@@ -44,7 +44,7 @@ def channels_kernel(
     while start < end:
         rows = values + gaussian.to(tl.int64)[:, None] * n_channels + channel[None, :]
         chunk_values = tl.load(rows, mask=there[:, None] & in_range[None, :], other=0.0)
-        # Who comes next is on its way while these are blended.
+        # Prefetch the next chunk while this one is blended.
         gaussian, there = gaussians_of(numbers, start + CHUNK, end, CHUNK)
         weights, transmittance = blend(
             records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, 1.0

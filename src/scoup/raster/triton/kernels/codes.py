@@ -223,7 +223,7 @@ def accumulate_codes(
     # not lose the registers that matrix products behind it take descriptors from (tests/machine_code.py).
     going = tl.full([], 1, tl.int32)
     while going != 0:
-        # The codes of the next chunk are on their way while this one is blended.
+        # Prefetch the codes of the next chunk while this one is blended.
         next_0, next_1, next_2, next_3 = first_words(
             words, numbers, start + CHUNK, end, level, n_levels, LEVELS, GROUPS, CHUNK
         )

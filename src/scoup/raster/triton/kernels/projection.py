@@ -4,7 +4,7 @@ There is little to compute for each Gaussian and each pair of a Gaussian and a t
 float32: with offsets taken from the tile's corner here, the pixels see small numbers however far a centre lies.
 """
 
-# Triton's annotations are for its own compiler: to it a tensor may be indexed with None, and is no tuple.
+# Triton's annotations are for its own compiler, which indexes tensors with None and does not unpack them.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # pyright: reportIndexIssue=false, reportOperatorIssue=false
 
@@ -28,8 +28,8 @@ LOW_PASS, ALPHA_MIN, LOG_ALPHA_MIN, SLACK = (
 ROOT_LOG2_E, LOG2_E = tl.constexpr(27), tl.constexpr(28)
 TABLE = 29
 
-# What is known of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the exact
-# test against a tile: its reach, and what the covariance ((xx, xy), (xy, yy)) makes of offsets.
+# Precomputed terms of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the
+# exact test against a tile: its reach, and factors of offsets from the covariance ((xx, xy), (xy, yy)).
 REACH = tl.constexpr(0)
 SLOPE_Y, SLOPE_X = tl.constexpr(1), tl.constexpr(2)  # xy / xx, xy / yy
 INVERSE_XX, INVERSE_YY = tl.constexpr(3), tl.constexpr(4)
@@ -142,7 +142,7 @@ def project_kernel(
     opacity = tl.minimum(opacity, 1.0)
     log_opacity = tl.log(tl.maximum(opacity, tl.load(camera + ALPHA_MIN)))
     reach = tl.maximum(2 * (log_opacity - tl.load(camera + LOG_ALPHA_MIN)), 0.0)
-    # Scales whose squares are beyond any number leave nothing to draw.
+    # Gaussians whose squared scales overflow are not drawn.
     alive &= (determinant * 0 == 0) & (xx * 0 == 0) & (yy * 0 == 0)
 
     extent_x, extent_y = tl.sqrt(reach * xx), tl.sqrt(reach * yy)
@@ -244,7 +244,7 @@ def list_kernel(
     u = tl.where(listed, ku.to(tl.float64) * corner_x - skew.to(tl.float64) * corner_y, 0.0).to(tl.float32)
     v = tl.where(listed, kv.to(tl.float64) * corner_y, 0.0).to(tl.float32)
     gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32).to(tl.float32, bitcast=True)
-    # Whole records at a time: threads that each write one write an eighth of what memory takes at once.
+    # Write whole records together: one thread per record would use an eighth of the memory width.
     index = tl.arange(0, RECORD)[None, :]
     record = tl.where(index == 0, u[:, None], tl.where(index == 1, v[:, None], 0.0))
     record = tl.where(index == 2, ku[:, None], tl.where(index == 3, kv[:, None], record))

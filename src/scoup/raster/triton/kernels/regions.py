@@ -1,4 +1,4 @@
-"""Region sums of a projection: how much each Gaussian contributes to each combination of regions, tile by tile.
+"""Region sums of a projection: the contribution of each Gaussian to each combination of regions, tile by tile.
 
 The pixels of a tile that have the same combination are one column. A Gaussian's sums over the columns of a tile are a
 row of E @ one-hot(columns), which serves all levels at once. What is not zero becomes an entry.
@@ -44,7 +44,7 @@ def columns_kernel(
     pixel = tl.arange(0, PIXELS)
     same = label[:, None] == label[None, :]
     first = tl.min(tl.where(same, pixel[None, :], PIXELS), axis=1)
-    # The same once more, spread along the other dimension: cheaper than moving it there.
+    # Compute it again along the other dimension: cheaper than converting the layout.
     first_across = tl.min(tl.where(same, pixel[:, None], PIXELS), axis=0)
     label_across = tl.load(labels + image_pixel, mask=inside, other=-1)
     begins = (first_across == pixel) & (label_across >= 0)
@@ -83,7 +83,7 @@ def region_sums_kernel(
     CHUNK: tl.constexpr,
     COLUMNS: tl.constexpr,
 ):
-    """One program a tile. Few tiles have more than COLUMNS columns: they are walked over once more for each so many."""
+    """One program per tile. The few tiles with more than COLUMNS columns take one pass per COLUMNS of them."""
     PIXELS: tl.constexpr = TILE * TILE
     tile = first_tile + tl.program_id(0)
     x, y, _, inside = pixels_of(tile, across, width, height, TILE)
