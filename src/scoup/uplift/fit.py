@@ -136,7 +136,7 @@ class Fit:
         }
 
     def reason(self) -> str:
-        """Return why the verdict is not that they fit."""
+        """Return the reason for a verdict other than a fit."""
         blind = [name for name, is_blind in zip(self.names, self.blind, strict=True) if is_blind]
         unlike = self.unlike
         said = []
@@ -155,7 +155,7 @@ class Fit:
         return ", ".join(said)
 
     def remedies(self) -> str:
-        """Return what to try if the verdict is not that they fit."""
+        """Return remedies for a verdict other than a fit."""
         names = [_SAME_NAMES] if self.mistaken else []
         return "; ".join([*names, _SAME_SCENE, *([_FOCAL] if self.unlike or self.matches else [])])
 
@@ -181,7 +181,7 @@ def check_fit(
 
 
 def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
-    """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
+    """Return the problem with a fit of cameras, or that it was not judged, with remedies; "" for a good fit."""
     where = "the splat " if splat is None else f"{splat}: "
     verdicts = {Verdict.HOPELESS: "does not fit the cameras: ", Verdict.DOUBTFUL: "may not fit the cameras: "}
     if said := verdicts.get(fit.verdict):
@@ -223,7 +223,7 @@ def measure_fit(
 def _changes(
     gaussians: Gaussians, views: Sequence[Camera]
 ) -> Iterator[tuple[str, Gaussians, Sequence[Camera]]]:
-    """What may be true instead: other focal lengths, or a mirrored splat."""
+    """Alternative explanations: other focal lengths, or a mirrored splat."""
     for factor in FOCAL_LENGTHS:
         scale = views[0].K.new_tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
         changed = [replace(view, K=view.K * scale) for view in views]

@@ -88,7 +88,7 @@ def _agglomerate(
             continue
         cluster[cluster == other] = one
         grown[one] += 1
-        grown[other] = -1  # no entry is of that age
+        grown[other] = -1  # no entry has that age
         reach[one] += reach[other]
         seen_in[one] += seen_in[other]
         regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
@@ -110,7 +110,7 @@ def _neighbours(
     overlaps: NDArray[np.float64],  # [P]
     count: int,
 ) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Return, for each region, those that it overlaps, and by how much."""
+    """Return the overlapping regions of each region, and the overlaps."""
     order = np.argsort(pairs.T.ravel(), kind="stable")
     others, overlaps = pairs[:, ::-1].T.ravel()[order], np.tile(overlaps, 2)[order]
     edges = np.cumsum(np.bincount(pairs.ravel(), minlength=count))[:-1]

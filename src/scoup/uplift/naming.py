@@ -1,4 +1,4 @@
-"""Names for things: what a model with words finds in photographs votes for the things that are there.
+"""Names for things: open-vocabulary detections in photographs vote for the things there.
 
 A detection votes for the things that it overlaps, by its score times the overlap: of boxes, or of masks where the model
 gives masks. The vote of a text for a thing is the mean over the best views, of those that see the thing; so one view
@@ -34,7 +34,7 @@ class ThingsInView:
 
     @property
     def seen(self) -> Tensor:
-        """Return which things have enough pixels, [T] boolean."""
+        """Return the mask of things with enough pixels, [T] boolean."""
         return self.masks.sum((1, 2)) >= constants.NAMING_PIXELS
 
 
@@ -61,7 +61,7 @@ def things_in_view(
 
 
 def _ends(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where the middle 98 % of pixels counted along one side [T, n] begin and end, [T] float32 each."""
+    """Return start and end of the middle 98 % of pixels counted along one side [T, n], [T] float32 each."""
     below = counts.cumsum(1) / counts.sum(1, keepdim=True).clamp(min=1)
     return (below <= 0.01).sum(1).float(), (below < 0.99).sum(1).float() + 1
 
@@ -90,7 +90,7 @@ def box_ious(one: Tensor, other: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class ViewVotes:
-    """What one photograph says of M texts and T things: E votes."""
+    """The E votes of one photograph on M texts and T things."""
 
     rows: Tensor  # [E] int64, position of the text
     things: Tensor  # [E] int64
@@ -148,8 +148,8 @@ def name_things(
 def name_field(
     field: Own, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
 ) -> Own:
-    """Return a field whose things are named by what a model found of texts in the photographs of its views (view ->
-    detections); the field itself where none of its views has any."""
+    """Return a field with things named by detections of texts in the photographs of its views (view -> detections); the
+    field itself where no view has any."""
     table = field.thing_table
     views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
     if table is None or not views:
@@ -158,7 +158,7 @@ def name_field(
 
 
 def presence_of(scores: Tensor) -> Tensor:
-    """Return how sure it is that photographs show texts, [M], from the best score of each in each view [V, M]."""
+    """Return the certainty that photographs show texts, [M], from the best score of each in each view [V, M]."""
     best = scores.sort(0, descending=True).values[: constants.BEST_SCORES].mean(0)
     return best / (best + constants.EVEN_SCORE)
 

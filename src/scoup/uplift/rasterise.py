@@ -111,7 +111,7 @@ def add_views(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> RegionSums:
-    """Return the sums with these views: those that ``sums`` lack, or contain with other cameras or label maps, are
+    """Return the sums with these views. Views that ``sums`` lack, or contain with other cameras or label maps, are
     rasterised at their scale.
 
     ``sums`` are not changed. Interrupted at any moment, their folder contains the views that were complete.
@@ -166,8 +166,8 @@ def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) ->
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
 ) -> Iterator[tuple[Camera, CombinedLabels]]:
-    """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. What goes to a
-    GPU is in pinned memory, which is copied fastest.
+    """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. Labels for
+    a GPU are in pinned memory, which is copied fastest.
     """
 
     def load(camera: Camera) -> CombinedLabels:

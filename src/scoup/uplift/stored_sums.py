@@ -238,8 +238,8 @@ class RegionSums:
         self._unflushed.clear()
 
     def select(self, view_names: Iterable[str], rows: Rows | Callable[[], Rows]) -> RegionSums:
-        """Return the sums of some views, sharing memory, with the rows of these views, or what makes them when they are
-        first needed."""
+        """Return the sums of some views, sharing memory, with the rows of these views, or a function that makes them
+        on first use."""
         selection = copy.copy(self)
         selection.views = {name: self._require(name) for name in view_names}
         selection._rows = rows

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scoup.uplift.vote_backends import native, reference
 
 BATCHES = 16  # on a CPU
-# Modules with a class ``Vote``; that of the reference says what all of them do.
+# Modules with a class ``Vote``; the reference documents it.
 BACKENDS = {
     "native": "scoup.uplift.vote_backends.native",
     "reference": "scoup.uplift.vote_backends.reference",

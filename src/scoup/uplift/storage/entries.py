@@ -85,7 +85,7 @@ class Entries:
         )
 
     def find_buckets(self, first: int, last: int) -> tuple[int, int]:
-        """Return where in ``buckets`` those of first to last - 1 begin and end."""
+        """Return the range in ``buckets`` of first to last - 1."""
         low, high = np.searchsorted(self.buckets, [first, last])
         return int(low), int(high)
 

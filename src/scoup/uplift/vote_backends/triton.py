@@ -162,7 +162,6 @@ class Vote(reference.Vote):
         return known
 
     def _sorted(self, buckets: range) -> SortedEntries:
-        """Return the entries of some buckets, on the device."""
         n_buckets, device = len(buckets), self._device
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
         groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
