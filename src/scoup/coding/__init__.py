@@ -91,10 +91,10 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     coded = (rows != 0).any(1)
     if coded.any():
         if solver == "adam":
-            found = solve_adam(rows[coded], n_atoms, k, seed, epochs, tolerance, progress, backend)
+            solution = solve_adam(rows[coded], n_atoms, k, seed, epochs, tolerance, progress, backend)
         else:
-            found = _exact(rows[coded], n_atoms, k, seed, effort, progress, backend)
-        atoms, codes, run = found.atoms, _spread(found.codes, coded), found.steps
+            solution = _exact(rows[coded], n_atoms, k, seed, effort, progress, backend)
+        atoms, codes, run = solution.atoms, _spread(solution.codes, coded), solution.steps
     else:
         run = 0
         atoms = rows.new_zeros(n_atoms, rows.shape[1])

@@ -76,8 +76,8 @@ def solve_adam(
         done = epoch
         progress("sparse coding", epoch, epochs)
     weights, order = logits.gather(1, support).softmax(1).sort(dim=1, descending=True, stable=True)
-    found = RowCodes(support.gather(1, order), weights, torch.ones(len(ours)))
-    codes = as_sparse_codes(found, n_atoms, k, rows.device)
+    row_codes = RowCodes(support.gather(1, order), weights, torch.ones(len(ours)))
+    codes = as_sparse_codes(row_codes, n_atoms, k, rows.device)
     return Solution(atoms.to(rows.device), codes, done, tuple(losses))
 
 
@@ -117,11 +117,10 @@ def _similarities(rows: Tensor, atoms: Tensor, support: Tensor) -> Tensor:
 
 
 def _update_support(support: Tensor, logits: Tensor) -> None:
-    """Find the K largest logits again in the rows in which another has overtaken one of them; that is faster than to
-    find them in all rows."""
-    kept = logits.gather(1, support)
+    """Update the K largest logits of rows where another has overtaken one of them: faster than of all rows."""
+    supported = logits.gather(1, support)
     others = logits.scatter(1, support, -torch.inf).amax(1)
-    changed = (others > kept.amin(1)).nonzero()[:, 0]
+    changed = (others > supported.amin(1)).nonzero()[:, 0]
     support[changed] = logits[changed].topk(support.shape[1], dim=1).indices
 
 

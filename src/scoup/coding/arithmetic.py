@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 def ordered_sum(values: Tensor, dim: int) -> Tensor:
-    """Sums along one axis. torch may cut a long sum into one part a thread."""
+    """Sum along one axis; torch may split a long sum by thread."""
     return torch.as_tensor(values.numpy().sum(dim))
 
 

@@ -1,4 +1,4 @@
-"""What the exact solver computes with: the contract of its backends, and how one is chosen.
+"""The contract of the exact solver's backends, and their selection.
 
 A backend is one module with the functions of ``CodingBackend``, chosen by name (``base.backends``). Regions are coded
 on the CPU, whatever the device of the build: the same input gives the same codes everywhere.

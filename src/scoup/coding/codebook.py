@@ -88,6 +88,6 @@ def encode(rows: Tensor, atoms: Tensor, k: int) -> SparseCodes:
     positive inner product, get empty codes; atoms of norm zero are never used. The codes have K columns even if there
     are fewer atoms.
     """
-    ours, codebook = (part.detach().cpu().float().contiguous() for part in (rows, atoms))
+    ours, codebook = (tensor.detach().cpu().float().contiguous() for tensor in (rows, atoms))
     codes = coding_backend().code_rows(ours, codebook, min(k, len(atoms)), SWAP_PASSES)
     return as_sparse_codes(codes, len(atoms), k, rows.device)

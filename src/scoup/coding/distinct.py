@@ -26,10 +26,10 @@ def value_codes(rows: Tensor, n_atoms: int, k: int) -> tuple[Tensor, SparseCodes
     Values must be no more than the atoms, and no more than half as many as the rows: where nearly every row has a
     vector of its own, one atom per row would leave the vote nothing to agree on.
     """
-    found = distinct_rows(rows, min(n_atoms, len(rows) // LEAST_ROWS))
-    if found is None:
+    distinct = distinct_rows(rows, min(n_atoms, len(rows) // LEAST_ROWS))
+    if distinct is None:
         return None
-    values, of_row = found
+    values, of_row = distinct
     atoms = rows.new_zeros(n_atoms, rows.shape[1])
     atoms[: len(values)] = values
     indices = torch.zeros(len(rows), k, dtype=torch.long, device=rows.device)

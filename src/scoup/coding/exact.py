@@ -34,7 +34,7 @@ EPSILON = 1e-8
 START_ITERATIONS = 2  # of k-means
 RESEED_EVERY = 25  # steps
 RESEED_UNTIL = 0.7  # share of the steps
-RARE = 2e-4  # atoms used by a smaller share of rows are placed anew
+RARE = 2e-4  # atoms used by a smaller share of rows are reseeded
 RIDGE = 1e-4  # pull to the present atoms, as a share of the mean diagonal of A
 OVERSTEP = 0.9  # how much further than the least-squares atoms a pass goes; more than 1 diverges
 FINAL_SWAPS = 2
@@ -100,7 +100,7 @@ class Learner:
     def steps(self, settings: ExactSettings) -> Iterator[None]:
         """Take Adam steps, yielding after each."""
         first, second = np.zeros((2, *self.atoms.shape), np.float32)
-        supports: list[Tensor] = []  # since atoms were last placed anew
+        supports: list[Tensor] = []  # since the last reseeding
         batches = self._batches(min(settings.batch, len(self.rows)))
         for step in range(1, settings.steps + 1):
             rows = take_rows(self.rows, next(batches))

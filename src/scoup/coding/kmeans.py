@@ -68,7 +68,7 @@ def _lloyd(rows: Tensor, atoms: Tensor, backend: CodingBackend) -> Tensor:
     atoms = unit(sums.float(), atoms)
     empty = (torch.bincount(nearest, minlength=len(atoms)) == 0).nonzero()[:, 0]
     worst = best.argsort(stable=True)[: len(empty)]
-    # Rows that an atom already stands for need no second one.
+    # A row equal to an atom needs no second atom.
     useful = best[worst] < 1 - _SAME
     atoms[empty[: len(worst)][useful]] = rows[worst[useful]]
     return atoms

@@ -28,7 +28,7 @@ def row_products(rows: Tensor, others: Tensor) -> Tensor:
 
 def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> tuple[Tensor, Tensor]:
     """See ``CodingBackend.code_moments``."""
-    arrays = (part.numpy() for part in (rows, codes.support, codes.weights, scale))
+    arrays = (tensor.numpy() for tensor in (rows, codes.support, codes.weights, scale))
     within, toward = require_core().code_moments(*arrays, n_atoms, torch.get_num_threads())
     return torch.from_numpy(within), torch.from_numpy(toward)
 

@@ -41,15 +41,15 @@ def code(
         warm: supports to start from in place of the greedy choice, -1 for none; atoms may repeat.
     """
     problem = _Problem(similarities.double(), gram.double())
-    found = problem.solve(problem.choose(k) if warm is None else warm.long())
+    solution = problem.solve(problem.choose(k) if warm is None else warm.long())
     for _ in range(swap_passes):
-        before = found.explained
+        before = solution.explained
         for slot in range(k):
-            found = problem.swap(found, slot)
-        if bool((found.explained == before).all()):
+            solution = problem.swap(solution, slot)
+        if bool((solution.explained == before).all()):
             break
-    weights, order = torch.sort(found.weights, dim=1, descending=True, stable=True)
-    return RowCodes(found.support.gather(1, order), weights, found.explained.clamp(min=0).sqrt())
+    weights, order = torch.sort(solution.weights, dim=1, descending=True, stable=True)
+    return RowCodes(solution.support.gather(1, order), weights, solution.explained.clamp(min=0).sqrt())
 
 
 def code_rows(
@@ -81,15 +81,15 @@ def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> 
     within = rows.new_zeros(n_atoms, n_atoms, dtype=torch.float64)
     toward = rows.new_zeros(n_atoms, rows.shape[1], dtype=torch.float64)
     for first in range(0, len(rows), _BLOCK_ROWS):
-        part = slice(first, first + _BLOCK_ROWS)
-        # One column more takes the slots that are not used.
-        support = codes.support[part].long()
+        block = slice(first, first + _BLOCK_ROWS)
+        # An extra column takes the unused slots.
+        support = codes.support[block].long()
         dense = rows.new_zeros(len(support), n_atoms + 1)
-        dense.scatter_(1, support.where(support >= 0, n_atoms), codes.weights[part])
+        dense.scatter_(1, support.where(support >= 0, n_atoms), codes.weights[block])
         dense = dense[:, :n_atoms]
-        scaled = (dense * scale[part, None]).T
+        scaled = (dense * scale[block, None]).T
         within += float32_products(scaled, dense.T)
-        toward += float32_products(scaled, rows[part].T)
+        toward += float32_products(scaled, rows[block].T)
     return within, toward
 
 
@@ -98,7 +98,7 @@ def solve(matrix: Tensor, right: Tensor) -> Tensor:
     return torch.linalg.solve(matrix, right)
 
 
-class _Found(NamedTuple):
+class _Solution(NamedTuple):
     support: Tensor  # [n, K], used slots first, then -1
     weights: Tensor  # [n, K]
     explained: Tensor  # [n] squared norm of the decoded code, w . s
@@ -133,7 +133,7 @@ class _Problem:
         missing = [torch.full_like(support[0], -1)] * (k - len(support))
         return torch.cat(support + missing, 1)
 
-    def solve(self, support: Tensor) -> _Found:
+    def solve(self, support: Tensor) -> _Solution:
         """Non-negative least squares on the support; atoms without weight are dropped."""
         atoms = support.clamp(min=0)
         toward = torch.where(support >= 0, self.similarities.gather(1, atoms), 0.0)
@@ -141,43 +141,43 @@ class _Problem:
         weights = nonnegative_least_squares(toward, within, support >= 0)
         order = (weights <= 0).long().sort(dim=1, stable=True).indices  # used slots first
         support = torch.where(weights > 0, support, -1).gather(1, order)
-        return _Found(support, weights.gather(1, order), (weights * toward).sum(1))
+        return _Solution(support, weights.gather(1, order), (weights * toward).sum(1))
 
-    def swap(self, found: _Found, slot: int) -> _Found:
+    def swap(self, solution: _Solution, slot: int) -> _Solution:
         """Exchange the atom of one slot for a better one, where there is one; or fill the first unused slot."""
-        used = found.support >= 0
-        atoms = found.support.clamp(min=0)
+        used = solution.support >= 0
+        atoms = solution.support.clamp(min=0)
         rows = self.gram[atoms] * used[:, :, None]  # [n, K, L]
         within = identity_outside(self.gram[atoms[:, :, None], atoms[:, None, :]], used)
         copies = torch.linalg.solve(within, rows)  # weights of the support in the copy of each atom
-        residual = self.similarities - (found.weights[:, :, None] * rows).sum(1)
+        residual = self.similarities - (solution.weights[:, :, None] * rows).sum(1)
         left = self.norms - (copies * rows).sum(1)
-        # Beside its own support no atom has anything left.
-        own = torch.zeros_like(left).scatter_add_(1, atoms, used.to(left.dtype)) > 0
-        residual, left = residual.masked_fill(own, 0.0), left.masked_fill(own, 0.0)
+        # Atoms in the support have no residual.
+        in_support = torch.zeros_like(left).scatter_add_(1, atoms, used.to(left.dtype)) > 0
+        residual, left = residual.masked_fill(in_support, 0.0), left.masked_fill(in_support, 0.0)
 
         # With M = within^-1, removing atom i gives back w_i / M_ii of its copies to the residuals, and 1 / M_ii of
         # their squares to the norms left.
         back = (1 / torch.linalg.inv(within).diagonal(dim1=1, dim2=2)[:, slot]) * used[:, slot]
-        lost = found.weights[:, slot] ** 2 * back
+        lost = solution.weights[:, slot] ** 2 * back
         copy = copies[:, slot]
-        residual = residual + (found.weights[:, slot] * back)[:, None] * copy
+        residual = residual + (solution.weights[:, slot] * back)[:, None] * copy
         left = left + back[:, None] * copy**2
-        others = own & (atoms[:, slot, None] != torch.arange(len(self.gram), device=atoms.device))
+        others = in_support & (atoms[:, slot, None] != torch.arange(len(self.gram), device=atoms.device))
         gain, pick = self._gains(residual, left.masked_fill(others, 0.0)).max(1)
 
-        enough = found.explained * (1 + SWAP_GAIN)
-        tries = (slot <= used.sum(1)) & (found.explained - lost + gain > enough)
+        enough = solution.explained * (1 + SWAP_GAIN)
+        tries = (slot <= used.sum(1)) & (solution.explained - lost + gain > enough)
         chosen = tries.nonzero()[:, 0]
         if len(chosen) == 0:
-            return found
-        support = found.support[chosen].clone()
+            return solution
+        support = solution.support[chosen].clone()
         support[:, slot] = pick[chosen]
         other = _Problem(self.similarities[chosen], self.gram).solve(support)
         better = other.explained > enough[chosen]
-        result = _Found(*(part.clone() for part in found))
-        for mine, theirs in zip(result, other, strict=True):
-            mine[chosen[better]] = theirs[better]
+        result = _Solution(*(tensor.clone() for tensor in solution))
+        for target, source in zip(result, other, strict=True):
+            target[chosen[better]] = source[better]
         return result
 
     def _gains(self, residual: Tensor, left: Tensor) -> Tensor:

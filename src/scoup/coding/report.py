@@ -49,8 +49,8 @@ def decoded_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
     """Return [R] float32: cosine between each row [R, D] and its code decoded with ``atoms`` [L, D] in chunks; 0 where
     either is zero."""
     blocks = [
-        torch.nn.functional.cosine_similarity(codes.rows(part).to_dense() @ atoms, rows[part], dim=1)
-        for part in (slice(start, start + 8192) for start in range(0, len(rows), 8192))
+        torch.nn.functional.cosine_similarity(codes.rows(block).to_dense() @ atoms, rows[block], dim=1)
+        for block in (slice(start, start + 8192) for start in range(0, len(rows), 8192))
     ]
     return torch.cat(blocks) if blocks else rows.new_zeros(0)
 
@@ -66,7 +66,7 @@ def report_on(
     """Measure codes against their rows; zero rows are left out of the figures."""
     coded = torch.linalg.vector_norm(rows, dim=1) > 0
     cosines = decoded_cosines(rows, atoms, codes)[coded].double()
-    # With no rows at all nothing is misrepresented.
+    # Without rows nothing is misrepresented.
     mean = float(cosines.mean()) if len(cosines) else 1.0
     low = float(torch.quantile(cosines, 0.05)) if len(cosines) else 1.0
     return CodingReport(
@@ -83,7 +83,7 @@ def report_on(
 
 
 def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
-    """Return the cosine from which on a row that was not learned from counts as well explained, 0..1.
+    """Return the least cosine of a well-explained held-out row, 0..1.
 
     The 5th percentile of the training rows is no measure of others where atoms are many: an atom learned from n rows
     lies nearer to them than to the next row of the same thing. A fit errs by 1 - 1/n on its own rows and by 1 + 1/n on

@@ -71,14 +71,14 @@ def automatic_masks(image: NDArray[np.uint8], model: PointModel, settings: MaskS
     """Return level -> masks of an image [H, W, 3], in painting order, by the rules of docs/extract.md."""
     size = (image.shape[0], image.shape[1])
     boxes = crop_boxes(*size, settings.crop_layers, settings.crop_share)
-    found: dict[str, list[Masks]] = {name: [] for name in LEVELS}
+    by_level: dict[str, list[Masks]] = {name: [] for name in LEVELS}
     for box in boxes:
         candidates = _candidates(image, box, model, settings)
         for channel, name in enumerate(LEVELS):
             masks = candidates.masks.select(candidates.channels == channel)
             keep = keep_by_boxes(masks.corners(), masks.predicted_iou, settings.box_overlap)
-            found[name].append(masks.select(keep).translate(box[0], box[1], size))
-    return {name: _suppress(parts, boxes, size, settings) for name, parts in found.items()}
+            by_level[name].append(masks.select(keep).translate(box[0], box[1], size))
+    return {name: _suppress(parts, boxes, size, settings) for name, parts in by_level.items()}
 
 
 def _suppress(parts: list[Masks], boxes: list[Box], size: tuple[int, int], settings: MaskSettings) -> Masks:
@@ -87,7 +87,7 @@ def _suppress(parts: list[Masks], boxes: list[Box], size: tuple[int, int], setti
     if len(boxes) > 1:
         # Masks from smaller crops are preferred.
         areas = [
-            np.full(len(part), (b[2] - b[0]) * (b[3] - b[1])) for part, b in zip(parts, boxes, strict=True)
+            np.full(len(crop), (b[2] - b[0]) * (b[3] - b[1])) for crop, b in zip(parts, boxes, strict=True)
         ]
         scores = 1.0 / np.concatenate(areas).astype(np.float32)
         masks = masks.select(keep_by_boxes(masks.corners(), scores, settings.crop_overlap))
@@ -113,17 +113,17 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
         good = torch.nonzero(iou > settings.predicted_iou)[:, 0]
         if settings.coarse_filters:
             stable = _stability(encoded.without_padding(logits[good]), settings)
-            kept = stable >= settings.stability
-            good = good[kept]
+            mask = stable >= settings.stability
+            good = good[mask]
             point = good // len(LEVELS)
             smallest = point != torch.cat([point[:1] - 1, point[:-1]])
-            coarse.append(_Coarse(logits[good].half(), iou[good], stable[kept], channels[good], smallest))
+            coarse.append(_Coarse(logits[good].half(), iou[good], stable[mask], channels[good], smallest))
         else:
             parts += _upscaled(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
         parts = _from_coarse(encoded, coarse, settings, crop_size)
-    masks = Masks.concatenate(crop_size, [part.masks for part in parts])
-    channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
+    masks = Masks.concatenate(crop_size, [crop.masks for crop in parts])
+    channels = np.concatenate([np.zeros(0, np.int64), *(crop.channels for crop in parts)])
     return Candidates(masks, channels).select(~touches_inner_edge(masks.corners(), box, *image_size))
 
 
@@ -148,11 +148,11 @@ def _known(points: Tensor, encoded: EncodedImage, coarse: list[_Coarse], last: b
     """Return [P] whether points lie in a mask of level s found so far; in the last round, also whether they lie in many
     larger masks of points without one: such ground, textured for instance, would be asked at every point."""
     small, large = torch.zeros(2, len(points), dtype=torch.int64)
-    for found in coarse:
-        logits = encoded.without_padding(found.logits[found.smallest])
+    for batch in coarse:
+        logits = encoded.without_padding(batch.logits[batch.smallest])
         rows, columns = (points.flip(1) * torch.tensor(logits.shape[1:])).long().to(logits.device).unbind(1)
         inside = (logits[:, rows, columns] > 0).cpu()
-        is_small = (found.channels[found.smallest] == 0).cpu()
+        is_small = (batch.channels[batch.smallest] == 0).cpu()
         small += inside[is_small].sum(0)
         large += inside[~is_small].sum(0)
     return (small > 0) | (large >= constants.MANY) & last
@@ -174,8 +174,8 @@ def _upscaled(
         large = encoded.upscale(logits[chunk].float())
         if stability is None:
             stable = _stability(large, settings)
-            kept = stable >= settings.stability
-            large, stable, chunk = large[kept], stable[kept], chunk[kept]
+            mask = stable >= settings.stability
+            large, stable, chunk = large[mask], stable[mask], chunk[mask]
         else:
             stable = stability[chunk]
         dense = (large > 0).cpu().numpy()
@@ -196,17 +196,17 @@ def _from_coarse(
         for name in ("logits", "iou", "stability", "channels")
     )
     small = [
-        Masks.from_dense((part > 0).cpu().numpy()) for part in encoded.without_padding(logits).split(256)
+        Masks.from_dense((chunk > 0).cpu().numpy()) for chunk in encoded.without_padding(logits).split(256)
     ]
     if not small:
         return []
-    corners = np.concatenate([part.corners() for part in small])
-    kept: list[NDArray[np.int64]] = []
+    corners = np.concatenate([masks.corners() for masks in small])
+    survivors: list[NDArray[np.int64]] = []
     for channel in range(len(LEVELS)):
         numbers = torch.nonzero(channels == channel)[:, 0].cpu().numpy()
         scores = iou.cpu().numpy()[numbers]
-        kept.append(numbers[keep_by_boxes(corners[numbers], scores, settings.box_overlap)])
-    chosen = torch.from_numpy(np.sort(np.concatenate(kept))).to(logits.device)
+        survivors.append(numbers[keep_by_boxes(corners[numbers], scores, settings.box_overlap)])
+    chosen = torch.from_numpy(np.sort(np.concatenate(survivors))).to(logits.device)
     return _upscaled(encoded, logits, iou, channels, chosen, settings, size, stability)
 
 

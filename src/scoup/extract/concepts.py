@@ -1,4 +1,4 @@
-"""What a model with words finds in photographs, stored for ``build``, which names things by it."""
+"""Open-vocabulary detections in photographs, stored for ``build``, which names things by them."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ def extract_concepts(
     settings = {**model.to_dict(), "max_height": max_height}
     store = new_store(Path(folder), texts, settings)
     store.begin(overwrite)
-    report, mine, moment = ExtractReport(), part.of(photographs), time.perf_counter()
-    waiting = [item for item in mine if overwrite or not store.has(item.name, item.digest())]
-    report.kept = len(mine) - len(waiting)
+    report, assigned, moment = ExtractReport(), part.of(photographs), time.perf_counter()
+    waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
+    report.kept = len(assigned) - len(waiting)
     for done, (item, pixels) in enumerate(read_ahead(waiting, max_height), start=report.kept):
-        progress("concepts", done, len(mine))
+        progress("concepts", done, len(assigned))
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)
             continue
-        found = model.detect(pixels.image, store.texts)
+        detections = model.detect(pixels.image, store.texts)
         width, height = pixels.image.shape[1], pixels.image.shape[0]
         stored = (height, width) if pixels.turns % 2 else (width, height)
-        boxes = boxes_as_stored(pixels, found.boxes)
-        store.write(item.name, pixels.digest, replace(found, boxes=boxes, size=stored, masks=None))
+        boxes = boxes_as_stored(pixels, detections.boxes)
+        store.write(item.name, pixels.digest, replace(detections, boxes=boxes, size=stored, masks=None))
         report.made.append(item.name)
-        report.regions += len(found.texts)
-    progress("concepts", len(mine), len(mine))
+        report.regions += len(detections.texts)
+    progress("concepts", len(assigned), len(assigned))
     report.add_time("detect", moment)
     return report
 

@@ -12,8 +12,8 @@ from torch.nn import functional
 from scoup.extract.masks import Masks
 from scoup.models import DenseModel
 
-# Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
-# the work grows with the square.
+# Windows of the model's size along the shorter side of a photograph. More resolve smaller things; the work grows with
+# the square.
 WINDOWS = 2
 _MASKS_AT_ONCE = 64
 
@@ -33,7 +33,7 @@ class DenseEmbedder:
         pixels = image.permute(2, 0, 1)[None].float() / 255
         scaled = functional.interpolate(pixels, size, mode="bilinear", antialias=True, align_corners=False)[0]
         tokens = self.model.tokens(scaled)
-        return {level: self._pool(tokens, found) for level, found in masks.items()}
+        return {level: self._pool(tokens, of_level) for level, of_level in masks.items()}
 
     def _scaled_size(self, height: int, width: int) -> tuple[int, int]:
         """Return multiples of the patch such that the shorter side fills the windows."""
@@ -41,19 +41,19 @@ class DenseEmbedder:
         factor = WINDOWS * window / min(height, width)
         return round(height * factor) * patch, round(width * factor) * patch
 
-    def _pool(self, tokens: Tensor, found: Masks) -> Tensor:
-        shares = area_shares(found, tokens.shape[0], tokens.shape[1]).to(tokens.device)
-        rows = [self.model.pool(tokens, part).cpu() for part in shares.split(_MASKS_AT_ONCE)]
-        return torch.cat(rows) if len(found) else torch.zeros(0, self.dim)
+    def _pool(self, tokens: Tensor, masks: Masks) -> Tensor:
+        shares = area_shares(masks, tokens.shape[0], tokens.shape[1]).to(tokens.device)
+        rows = [self.model.pool(tokens, chunk).cpu() for chunk in shares.split(_MASKS_AT_ONCE)]
+        return torch.cat(rows) if len(masks) else torch.zeros(0, self.dim)
 
 
-def area_shares(found: Masks, rows: int, columns: int) -> Tensor:
+def area_shares(masks: Masks, rows: int, columns: int) -> Tensor:
     """Return [N, rows, columns] float32, the share of each cell of a grid over the image that a mask covers."""
-    down, across = _averages(found.size[0], rows), _averages(found.size[1], columns)
-    shares = torch.zeros(len(found), rows, columns)
-    for number in range(len(found)):
-        y, x = found.place(number)
-        shares[number] = down[:, y] @ torch.from_numpy(found.crop(number)).float() @ across[:, x].T
+    down, across = _averages(masks.size[0], rows), _averages(masks.size[1], columns)
+    shares = torch.zeros(len(masks), rows, columns)
+    for number in range(len(masks)):
+        y, x = masks.place(number)
+        shares[number] = down[:, y] @ torch.from_numpy(masks.crop(number)).float() @ across[:, x].T
     return shares
 
 

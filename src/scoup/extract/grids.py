@@ -50,7 +50,7 @@ def touches_inner_edge(
 ) -> NDArray[np.bool_]:
     """Return [N] whether boxes [N, 4] within a crop end within ``near`` pixels of an edge of the crop that is not an
     edge of the image: they are cut off there."""
-    place = corners + np.array([crop[0], crop[1], crop[0], crop[1]])
-    near_crop = np.abs(place - np.array(crop)) <= near
-    near_image = np.abs(place - np.array([0, 0, width, height])) <= near
+    boxes = corners + np.array([crop[0], crop[1], crop[0], crop[1]])
+    near_crop = np.abs(boxes - np.array(crop)) <= near
+    near_image = np.abs(boxes - np.array([0, 0, width, height])) <= near
     return np.asarray((near_crop & ~near_image).any(1), np.bool_)

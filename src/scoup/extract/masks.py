@@ -51,14 +51,14 @@ class Masks:
 
         boxes: list[tuple[int, int, int, int]] = []
         bits: list[NDArray[np.uint8]] = []
-        for value, place in enumerate(ndimage.find_objects(labels + 1)):
-            if place is None:
+        for value, slices in enumerate(ndimage.find_objects(labels + 1)):
+            if slices is None:
                 boxes.append((0, 0, 0, 0))
                 bits.append(np.zeros(0, np.uint8))
                 continue
-            rows, columns = place
+            rows, columns = slices
             boxes.append((columns.start, rows.start, columns.stop, rows.stop))
-            bits.append(np.packbits(labels[place] == value))
+            bits.append(np.packbits(labels[slices] == value))
         ones = np.ones(len(bits), np.float32)
         table = np.array(boxes, np.int32).reshape(-1, 4)
         return cls((labels.shape[0], labels.shape[1]), table, tuple(bits), ones, ones)
@@ -66,16 +66,16 @@ class Masks:
     @classmethod
     def concatenate(cls, size: tuple[int, int], parts: Sequence[Masks]) -> Masks:
         """Return all masks of ``parts``, one after another."""
-        if any(part.size != size for part in parts):
-            sizes = sorted({part.size for part in parts})
+        if any(masks.size != size for masks in parts):
+            sizes = sorted({masks.size for masks in parts})
             raise InputError(f"masks over images of {sizes} cannot be concatenated; use masks over one image")
         empty = np.zeros(0, np.float32)
         return cls(
             size,
-            np.concatenate([np.zeros((0, 4), np.int32), *(part.boxes for part in parts)]),
-            tuple(bits for part in parts for bits in part.bits),
-            np.concatenate([empty, *(part.predicted_iou for part in parts)]),
-            np.concatenate([empty, *(part.stability for part in parts)]),
+            np.concatenate([np.zeros((0, 4), np.int32), *(masks.boxes for masks in parts)]),
+            tuple(bits for masks in parts for bits in masks.bits),
+            np.concatenate([empty, *(masks.predicted_iou for masks in parts)]),
+            np.concatenate([empty, *(masks.stability for masks in parts)]),
         )
 
     def __len__(self) -> int:

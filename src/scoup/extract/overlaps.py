@@ -26,17 +26,17 @@ def keep_by_boxes(
     x0, y0, x1, y1 = boxes.T
     areas = (x1 - x0) * (y1 - y0)
     waiting = np.argsort(-scores, kind="stable")
-    kept: list[int] = []
+    chosen: list[int] = []
     while len(waiting):
         best, waiting = int(waiting[0]), waiting[1:]
-        kept.append(best)
+        chosen.append(best)
         width = np.minimum(x1[best], x1[waiting]) - np.maximum(x0[best], x0[waiting])
         height = np.minimum(y1[best], y1[waiting]) - np.maximum(y0[best], y0[waiting])
         shared = width.clip(0) * height.clip(0)
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN for two boxes without area: both stay
             overlap = shared / (areas[best] + areas[waiting] - shared)
         waiting = waiting[~(overlap > most_overlap)]
-    return np.array(kept, np.int64)
+    return np.array(chosen, np.int64)
 
 
 def intersections(masks: Masks) -> NDArray[np.int64]:
@@ -83,15 +83,15 @@ def keep_by_masks(
 
 
 def _cells(masks: Masks, seed: int) -> tuple[Any, NDArray[np.int64]]:
-    """Return which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
+    """Return the cells in each mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
     from scipy import sparse
 
     height, width = masks.size
     keys = np.random.default_rng(seed).integers(1, 1 << 64, len(masks), dtype=np.uint64)
     hashes = np.zeros((height, width), np.uint64)
     for number in range(len(masks)):
-        part = hashes[masks.place(number)]
-        part ^= masks.crop(number) * keys[number]
+        crop = hashes[masks.place(number)]
+        crop ^= masks.crop(number) * keys[number]
     flat = hashes.ravel()
     # Neighbours mostly belong to one cell: only the first pixel of each run is sorted.
     starts = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])

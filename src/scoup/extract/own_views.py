@@ -102,13 +102,12 @@ def _check_numbers(width: int, height: int, count: int | None) -> None:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of a splat by views: shares of its opaque Gaussians, 0..1; where none is opaque, of those that can be
-    seen."""
+    """Coverage of a splat by views: shares of its opaque Gaussians, 0..1; where none is opaque, of the visible ones."""
 
     once: float
-    """Of those that one view or more shows."""
+    """Share shown by at least one view."""
     often: float
-    """Of those that three views or more show."""
+    """Share shown by at least three views."""
 
 
 def save_views(
@@ -152,13 +151,13 @@ def save_views(
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
         for camera in reported(cameras, "views", len(cameras), progress):
-            place = hidden / places[camera.name]
-            place.parent.mkdir(parents=True, exist_ok=True)
+            path = hidden / places[camera.name]
+            path.parent.mkdir(parents=True, exist_ok=True)
             projection = project(gaussians, camera)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
             seen[region_sums(projection, blank).gaussian.unique()] += 1
             picture = as_picture(render_colors(gaussians, camera, projection))
-            save_png(picture, place)
+            save_png(picture, path)
             tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(Cameras(replace(camera, image_path=None) for camera in cameras), hidden / TRANSFORMS)
@@ -171,7 +170,7 @@ def save_views(
 
 
 def _images_of_views(folder: Path) -> list[str]:
-    """Return the images that transforms.json of views made before names, relative to their folder."""
+    """Return the images named by the transforms.json of earlier views, relative to their folder."""
     if not all((folder / name).is_file() for name in (SHEET, TRANSFORMS)):
         return []
     named = (camera.image_path for camera in load_cameras(folder / TRANSFORMS, distorted="undistort"))

@@ -17,7 +17,7 @@ from scoup.io import DYNAMIC_MASK, EXTENSIONS, FACTORS, ImageFolder, camera_phot
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
-_MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
+_MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # mirrored left to right after the turns
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,12 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
             raise FileFormatError(
                 scene, problem, "pass the folder that their names are relative to as `images`"
             )
-        return [Photograph(*each) for each in named]
+        return [Photograph(*item) for item in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
-        found = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
-        if found:
-            return found
+        photographs = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
+        if photographs:
+            return photographs
     remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
     raise MissingFileError(folders[0], "contains no photographs", remedy)
 

@@ -77,11 +77,11 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
     manifest = replace(manifest, views=tuple(item.name for item in photographs) if chosen else ())
     store = RegionStore.create(folder, manifest, overwrite)
     store.check_names(item.name for item in photographs)
-    mine = part.of(photographs)
+    assigned = part.of(photographs)
     report = ExtractReport()
-    waiting = [item for item in mine if overwrite or not store.has(item.name, item.digest())]
-    report.kept = done = len(mine) - len(waiting)
-    progress("regions", done, len(mine))
+    waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
+    report.kept = done = len(assigned) - len(waiting)
+    progress("regions", done, len(assigned))
     moment = time.perf_counter()
     for item, pixels in read_ahead(waiting, max_height):
         moment = report.add_time("decode", moment)
@@ -99,8 +99,8 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
             report.made.append(item.name)
             report.regions += len(regions)
         done += 1
-        progress("regions", done, len(mine))
-    _warn_of_skipped(report, len(mine))
+        progress("regions", done, len(assigned))
+    _warn_of_skipped(report, len(assigned))
     return report
 
 
@@ -122,15 +122,15 @@ def describe_masks(
     """Return the regions of a photograph: labels in its stored orientation, and the embedding of each mask."""
     labels: dict[str, NDArray[np.int32]] = {}
     visible_masks: dict[str, Masks] = {}
-    for level, found in masks.items():
-        painted = _painted(found, photograph)
+    for level, level_masks in masks.items():
+        painted = _painted(level_masks, photograph)
         if segmenter.drop_hidden or photograph.masked is not None:
-            visible = np.zeros(len(found) + 1, np.bool_)
+            visible = np.zeros(len(level_masks) + 1, np.bool_)
             visible[painted + 1] = True
-            found = found.select(visible[1:])
-            painted = _painted(found, photograph)
+            level_masks = level_masks.select(visible[1:])
+            painted = _painted(level_masks, photograph)
         labels[level] = photograph.as_stored(painted)
-        visible_masks[level] = found
+        visible_masks[level] = level_masks
     vectors = embed_masks(photograph.image, visible_masks, embedder, segmenter.cut_last)
     arrays = {level: rows.numpy() for level, rows in vectors.items()}
     return ViewRegions(name, labels, arrays, photograph.digest)
@@ -144,8 +144,8 @@ def embed_masks(
     if isinstance(embedder, RegionEmbedder):
         return embedder.embed_regions(pixels, masks)
     return {
-        level: _embed_crops(mask_crops(pixels, found, embedder.side, cut_last), embedder)
-        for level, found in masks.items()
+        level: _embed_crops(mask_crops(pixels, level_masks, embedder.side, cut_last), embedder)
+        for level, level_masks in masks.items()
     }
 
 

@@ -37,9 +37,9 @@ class PlainColors:
         """See ``CropEmbedder``; black pixels do not count."""
         values = crops.float()
         inside = (crops > 0).any(-1).float().flatten(1)  # [B, P]
-        place = (values.flatten(1, 2) / 255 * (_BINS - 1)).clamp(0, _BINS - 1)  # [B, P, 3]
-        low = place.floor().clamp(max=_BINS - 2).long()
-        share = place - low
+        position = (values.flatten(1, 2) / 255 * (_BINS - 1)).clamp(0, _BINS - 1)  # [B, P, 3]
+        low = position.floor().clamp(max=_BINS - 2).long()
+        share = position - low
         colors = torch.zeros(len(crops), _BINS**3, device=crops.device)
         for corner in range(8):
             steps = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=crops.device)

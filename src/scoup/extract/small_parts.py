@@ -18,10 +18,10 @@ def without_small_parts(masks: Masks, least_area: int, most_overlap: float) -> M
     changed: dict[int, NDArray[np.bool_]] = {}
     corner: dict[int, tuple[int, int]] = {}
     for number in np.flatnonzero(masks.boxes[:, 2] > masks.boxes[:, 0]).tolist():
-        part, place = _with_margin(masks, number, least_area)
-        filled, removed = _fill_holes(part, least_area), _remove_islands(part, least_area)
+        mask, offset = _with_margin(masks, number, least_area)
+        filled, removed = _fill_holes(mask, least_area), _remove_islands(mask, least_area)
         if filled or removed:
-            changed[number], corner[number] = part, place
+            changed[number], corner[number] = mask, offset
     cleaned = masks.replace_masks(changed, corner)
     unchanged = np.ones(len(masks), np.float32)
     unchanged[list(changed)] = 0
@@ -50,11 +50,11 @@ def _fill_holes(mask: NDArray[np.bool_], least_area: int) -> bool:
 def _remove_islands(mask: NDArray[np.bool_], least_area: int) -> bool:
     """Remove in place; return whether there were small islands, one that stays alone included."""
     islands, small = _parts(mask, least_area)
-    found = bool(small.any())
+    any_small = bool(small.any())
     if small[1:].all():
         small[1 + np.bincount(islands[mask])[1:].argmax()] = False
     mask &= ~small[islands]
-    return found
+    return any_small
 
 
 def _parts(pixels: NDArray[np.bool_], least_area: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:

@@ -53,28 +53,28 @@ def _facing(normals: Tensor, weights: Tensor, axis: Tensor) -> tuple[Tensor, flo
     """Return the direction near an axis that most surfaces face, and how many times more than by chance."""
     if not float(weights.sum()) > 0:
         return axis, 0.0
-    found = axis
+    direction = axis
     for cone in (REACH, CONE, CONE, CONE):
-        near = (normals @ found).abs() > cone
+        near = (normals @ direction).abs() > cone
         spread = (normals[near] * weights[near, None]).T @ normals[near]
-        found = torch.linalg.eigh(spread).eigenvectors[:, 2]
-        found = found if float(found @ axis) > 0 else -found
-    if float(found @ axis) < REACH:
+        direction = torch.linalg.eigh(spread).eigenvectors[:, 2]
+        direction = direction if float(direction @ axis) > 0 else -direction
+    if float(direction @ axis) < REACH:
         return axis, 0.0
     tilted, level = (
-        float(weights[(normals @ each).abs() > CONE].sum() / weights.sum()) / (1 - CONE)
-        for each in (found, axis)
+        float(weights[(normals @ candidate).abs() > CONE].sum() / weights.sum()) / (1 - CONE)
+        for candidate in (direction, axis)
     )
-    return (axis, level) if level >= LEVELLED * tilted else (found, tilted)
+    return (axis, level) if level >= LEVELLED * tilted else (direction, tilted)
 
 
 def _is_floor(means: Tensor, normals: Tensor, weights: Tensor, axis: Tensor) -> bool:
-    """Tell whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
+    """Return whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
     heights = means @ axis
     low, high = heights[:: max(1, len(heights) // 100_000)].quantile(heights.new_tensor([0.03, 0.97]))
     facing = weights * ((normals @ axis).abs() > CONE)
-    place = (heights - low) / (high - low)
-    return float(facing[place < 0.25].sum()) > float(facing[place > 0.75].sum())
+    relative = (heights - low) / (high - low)
+    return float(facing[relative < 0.25].sum()) > float(facing[relative > 0.75].sum())
 
 
 def _normals(gaussians: Gaussians, rows: Tensor) -> tuple[Tensor, Tensor]:

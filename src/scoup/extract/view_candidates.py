@@ -49,11 +49,11 @@ def find_matter(gaussians: Gaussians) -> Tensor:
     middle = means.median(0).values
     away = (means - middle).norm(dim=1)
     extent = float(away[:: max(1, len(away) // 1_000_000)].quantile(0.8))
-    kept = rows[(largest <= 0.5 * extent) & (away <= 4 * extent)]
-    kept = kept[_with_neighbours(gaussians.means[kept].double(), extent / 12)]
-    if len(kept) < 2 or not extent > 0:
+    matter = rows[(largest <= 0.5 * extent) & (away <= 4 * extent)]
+    matter = matter[_with_neighbours(gaussians.means[matter].double(), extent / 12)]
+    if len(matter) < 2 or not extent > 0:
         raise InputError(f"gaussians: nothing to look at ({len(rows)} opaque Gaussians at one place)")
-    return kept
+    return matter
 
 
 def _with_neighbours(means: Tensor, side: float) -> Tensor:
@@ -95,7 +95,7 @@ def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> 
     """Return cameras that stand a little beside each of some, and look a little beside what these look at: ``draws``
     [D, 5] in -1..1 are shares of the furthest move along each axis of the matter, and of the furthest turns aside and
     up."""
-    found = []
+    nearby = []
     for camera in cameras:
         eye, forward = matter.axes @ camera.position, matter.axes @ camera.viewmat[2, :3]
         heading, pitch = (
@@ -103,16 +103,16 @@ def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> 
             math.asin(float(forward[2].clamp(-1, 1))),
         )
         for draw in draws:
-            place = eye + constants.MOVE * matter.radius * draw[:3]
+            position = eye + constants.MOVE * matter.radius * draw[:3]
             angle = heading + math.radians(constants.TURN) * float(draw[3])
             level = min(
                 max(pitch + math.radians(constants.TURN) * float(draw[4]), constants.LOWEST),
                 constants.HIGHEST,
             )
-            aim = place + _way(angle, level)
-            if (near := look(place, aim, matter, "", camera.width, camera.height, camera.fx)) is not None:
-                found.append(near)
-    return found
+            aim = position + _way(angle, level)
+            if (near := look(position, aim, matter, "", camera.width, camera.height, camera.fx)) is not None:
+                nearby.append(near)
+    return nearby
 
 
 def _way(angle: float, level: float) -> Tensor:
@@ -157,19 +157,19 @@ def _around_parts(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]
     centres = along[torch.arange(count) * len(along) // count].clone()
     for _ in range(12):
         nearest = torch.cdist(along, centres).argmin(1)
-        for part in range(count):
-            if bool((nearest == part).any()):
-                centres[part] = along[nearest == part].mean(0)
+        for index in range(count):
+            if bool((nearest == index).any()):
+                centres[index] = along[nearest == index].mean(0)
     nearest = torch.cdist(along, centres).argmin(1)
     poses = []
-    for part, centre in enumerate(centres):
-        own = along[nearest == part]
-        size = float((own - centre).norm(dim=1).quantile(0.9)) if len(own) else 0.0
+    for index, centre in enumerate(centres):
+        members = along[nearest == index]
+        size = float((members - centre).norm(dim=1).quantile(0.9)) if len(members) else 0.0
         if size < 1e-9 * matter.radius:  # all at one place
             continue
         for step in range(constants.AROUND_PART):
-            angle = 2 * math.pi * (step + 0.37 * part) / constants.AROUND_PART
-            level = math.radians(constants.ELEVATIONS[(step + part) % len(constants.ELEVATIONS)])
+            angle = 2 * math.pi * (step + 0.37 * index) / constants.AROUND_PART
+            level = math.radians(constants.ELEVATIONS[(step + index) % len(constants.ELEVATIONS)])
             poses.append((centre + 1.3 * size / (opening / 2) * _way(angle, level), centre))
     return poses
 
@@ -189,13 +189,13 @@ def _within(matter: Matter) -> list[tuple[Tensor, Tensor]]:
     np.add.at(counts, tuple(cells[inside].T.numpy()), 1)
     room = np.asarray(ndimage.distance_transform_edt(counts < 2)) * side
     drawn = torch.from_numpy(qmc.Halton(3, scramble=False).random(2000)[1:]) * (high - low) + low
-    found = ((drawn - low) / side).floor().long().clamp(min=0)
-    found = torch.minimum(found, shape - 1)
-    free = torch.from_numpy(room[tuple(found.T.numpy())]) >= 0.1 * matter.radius
+    drawn_cells = ((drawn - low) / side).floor().long().clamp(min=0)
+    drawn_cells = torch.minimum(drawn_cells, shape - 1)
+    free = torch.from_numpy(room[tuple(drawn_cells.T.numpy())]) >= 0.1 * matter.radius
     poses = []
-    for number, place in enumerate(drawn[free][: constants.PLACES]):
+    for number, position in enumerate(drawn[free][: constants.PLACES]):
         for step in range(constants.HEADINGS):
             angle = 2 * math.pi * (step + 0.37 * number) / constants.HEADINGS
             level = math.radians(constants.PITCHES[(step + number) % 2])
-            poses.append((place, place + _way(angle, level)))
+            poses.append((position, position + _way(angle, level)))
     return poses

@@ -1,4 +1,4 @@
-"""How much each candidate camera shows of a splat, and the fewest that show it from several directions."""
+"""Scores of candidate cameras of a splat, and the fewest that show it from several directions."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Scores:
     def joined(cls, parts: Sequence[Scores]) -> Scores:
         """Return the scores of the cameras of all parts."""
         shown, direction, pictures = (
-            torch.cat([getattr(part, name) for part in parts]) for name in ("shown", "direction", "pictures")
+            torch.cat([getattr(item, name) for item in parts]) for name in ("shown", "direction", "pictures")
         )
-        return cls([camera for part in parts for camera in part.cameras], shown, direction, pictures)
+        return cls([camera for item in parts for camera in item.cameras], shown, direction, pictures)
 
     @property
     def positions(self) -> Tensor:
@@ -98,9 +98,9 @@ class ViewScorer:
         return self.prepared.gaussians.means[self.counted]
 
     def scores(self, cameras: Iterable[Camera]) -> Scores:
-        """Return what cameras show, one at least."""
-        found = [(camera, *self._score(camera)) for camera in cameras]
-        taken, shown, direction, pictures = zip(*found, strict=True)
+        """Score cameras, one at least."""
+        scored = [(camera, *self._score(camera)) for camera in cameras]
+        taken, shown, direction, pictures = zip(*scored, strict=True)
         return Scores(list(taken), torch.stack(shown).half(), torch.stack(direction), torch.tensor(pictures))
 
     def _score(self, camera: Camera) -> tuple[Tensor, Tensor, tuple[float, float, float]]:
@@ -232,16 +232,16 @@ def front_sides(scores: Scores, means: Tensor) -> Tensor:
     worth = scores.worth()
     weights = worth * worth.mean(1, keepdim=True)
     mean, total = torch.zeros_like(means), torch.zeros(len(means))
-    for view, place in enumerate(scores.positions):
+    for view, position in enumerate(scores.positions):
         weight = weights[view]
-        mean += weight[:, None] * normalize(place - means, dim=1)
+        mean += weight[:, None] * normalize(position - means, dim=1)
         total += weight
     mean /= total.clamp(min=1e-9)[:, None]
     length = mean.norm(dim=1)
     return torch.stack(
         [
-            ((normalize(place - means, dim=1) * mean).sum(1) > -0.1 * length) | (length < 0.2)
-            for place in scores.positions
+            ((normalize(position - means, dim=1) * mean).sum(1) > -0.1 * length) | (length < 0.2)
+            for position in scores.positions
         ]
     )
 

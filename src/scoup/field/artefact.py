@@ -23,7 +23,7 @@ _NAMES = ("presence", "rows", "things", "votes")
 
 @dataclass(frozen=True, eq=False)
 class FieldParts:
-    """Everything a ``.scoup`` file holds; attributes as those of ``LanguageField``.
+    """The contents of a ``.scoup`` file; attributes as those of ``LanguageField``.
 
     ``gaussians`` are those embedded in the file, or to be embedded; None for none.
     """
@@ -83,7 +83,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
 
 
 def read_field(path: Path) -> FieldParts:
-    """Read what a ``.scoup`` file holds; see ``LanguageField.load``.
+    """Read a ``.scoup`` file; see ``LanguageField.load``.
 
     Everything in the file is read, once, and checked before any of it is used (``container.read_content``).
     """
@@ -108,7 +108,7 @@ def read_field(path: Path) -> FieldParts:
     return FieldParts(
         tensors["code_indices"],
         weights,
-        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
+        # The file does not align it; matrix products have the same bytes only with the same alignment.
         tensors["codebook"].clone().float(),
         info,
         gaussians,
@@ -124,7 +124,6 @@ def tensor_checksum(tensor: Tensor) -> str:
 
 
 def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
-    """Write a safetensors file."""
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 Value = TypeVar("Value")
 Parts: TypeAlias = Sequence[object]
-"""What values are made from: tensors, and objects that do not change."""
+"""Sources of values: tensors, and objects that do not change."""
 State: TypeAlias = tuple[tuple[object, int], ...]
 
 ENTRY_BYTES = 512
@@ -51,12 +51,12 @@ class Cache:
 
     def value(self, key: Hashable, make: Callable[[], Value], parts: Parts = ()) -> Value:
         """Return the value of a key; ``make`` it from the parts if it is missing."""
-        found = self.get(key, parts)
-        if found is None:
+        value = self.get(key, parts)
+        if value is None:
             since = state_of(parts)
-            found = make()
-            self.keep(key, found, parts, since)
-        return found
+            value = make()
+            self.keep(key, value, parts, since)
+        return value
 
     def get(self, key: Hashable, parts: Parts = ()) -> Any:
         """Return the value of a key, or None."""
@@ -104,14 +104,14 @@ def size_of(value: Any) -> int:
     if isinstance(value, (list, tuple)):
         return sum(map(size_of, value))
     if is_dataclass(value) and not hasattr(value, "nbytes"):
-        return sum(size_of(getattr(value, each.name)) for each in fields(value))
+        return sum(size_of(getattr(value, attribute.name)) for attribute in fields(value))
     return len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0)
 
 
 def state_of(parts: Parts) -> State:
     """Return each part with how often it was written to; inference tensors do not count that."""
     return tuple(
-        (part, part._version if isinstance(part, Tensor) and not part.is_inference() else 0) for part in parts
+        (item, item._version if isinstance(item, Tensor) and not item.is_inference() else 0) for item in parts
     )
 
 

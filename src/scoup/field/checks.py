@@ -52,8 +52,8 @@ _INFINITY, _SIGN = 0x7C00, 0x8000  # bits of float16
 
 
 def check_shapes(arrays: Arrays, table: Table, sides: dict[str, int]) -> None:
-    """Refuse arrays whose types or shapes are not those of a table. ``sides`` has the numbers that are known, and gets
-    those that the arrays tell; a KeyError for an array that is missing."""
+    """Refuse arrays whose types or shapes differ from a table. ``sides`` has the known numbers, and gets the others
+    from the arrays; a KeyError for a missing array."""
     for name, (types, shape) in table.items():
         array, letters = arrays[name], shape.split()
         fits = str(array.dtype) in types.split() and array.ndim == len(letters)

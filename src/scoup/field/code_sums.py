@@ -26,8 +26,8 @@ from scoup.scene import check_atoms, code_arrays, float32_products, stable_produ
 
 def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
     """Return the products W A of codes with columns of scores, [N, S, Q] float32."""
-    found = _native("code_scores", indices, weights, scores)
-    return plain_code_scores(indices, weights, scores) if found is None else found
+    products = _native("code_scores", indices, weights, scores)
+    return plain_code_scores(indices, weights, scores) if products is None else products
 
 
 def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
@@ -44,8 +44,8 @@ def inverse_code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Te
     """Return 1 / sqrt(W G W^T), the inverse norms of decoded codes over a codebook [S, L, D], [N, S] float32; 0 without
     a code."""
     grams = torch.stack([atom_products(atoms, atoms) for atoms in codebook.float()])
-    found = _native("inverse_code_norms", indices, weights, grams)
-    return plain_inverse_code_norms(indices, weights, grams) if found is None else found
+    norms = _native("inverse_code_norms", indices, weights, grams)
+    return plain_inverse_code_norms(indices, weights, grams) if norms is None else norms
 
 
 def plain_inverse_code_norms(indices: Tensor, weights: Tensor, grams: Tensor) -> Tensor:
@@ -53,17 +53,17 @@ def plain_inverse_code_norms(indices: Tensor, weights: Tensor, grams: Tensor) ->
     check_atoms(indices, grams.shape[1])
     squares = torch.zeros(weights.shape[:2], device=weights.device)
     for level, gram in enumerate(grams):
-        atoms, own = indices[:, level].long(), weights[:, level].float()
-        for one in range(own.shape[1]):
-            for other in range(own.shape[1]):
-                squares[:, level] += own[:, one] * own[:, other] * gram[atoms[:, one], atoms[:, other]]
+        atoms, values = indices[:, level].long(), weights[:, level].float()
+        for one in range(values.shape[1]):
+            for other in range(values.shape[1]):
+                squares[:, level] += values[:, one] * values[:, other] * gram[atoms[:, one], atoms[:, other]]
     return torch.where(squares > 0, squares.rsqrt(), 0.0)
 
 
 def best_code_cosines(indices: Tensor, weights: Tensor, inverse_norms: Tensor, scores: Tensor) -> Tensor:
     """Return the largest cosine of each code with Q >= 1 columns of scores, [N, S] float32; 0 without a code."""
-    found = _native("best_code_cosines", indices, weights, scores, inverse_norms)
-    return plain_best_code_cosines(indices, weights, inverse_norms, scores) if found is None else found
+    cosines = _native("best_code_cosines", indices, weights, scores, inverse_norms)
+    return plain_best_code_cosines(indices, weights, inverse_norms, scores) if cosines is None else cosines
 
 
 def plain_best_code_cosines(
@@ -81,9 +81,9 @@ def code_relevancy(
 ) -> Tensor:
     """Return sigmoid(temperature * (cosine - best)) of each code and column of scores, [S, Q, N] float32; ``best`` [N,
     S] are cosines of the phrases that queries are compared with, from ``best_code_cosines``."""
-    found = _native("code_relevancy", indices, weights, scores, inverse_norms, best, temperature)
-    if found is not None:
-        return found.transpose(0, 1)  # what belongs to one column is contiguous
+    relevancy = _native("code_relevancy", indices, weights, scores, inverse_norms, best, temperature)
+    if relevancy is not None:
+        return relevancy.transpose(0, 1)  # what belongs to one column is contiguous
     return plain_code_relevancy(indices, weights, inverse_norms, best, scores, temperature)
 
 
@@ -110,8 +110,8 @@ def _native(name: str, indices: Tensor, weights: Tensor, *others: Any) -> Tensor
     if core is None or indices.dtype not in (torch.uint8, torch.uint16):
         return None
     arrays = [
-        each.detach().float().contiguous().numpy() if isinstance(each, Tensor) else each for each in others
+        item.detach().float().contiguous().numpy() if isinstance(item, Tensor) else item for item in others
     ]
     with refusals():
-        found = getattr(core, name)(*code_arrays(indices, weights), *arrays, torch.get_num_threads())
-    return torch.from_numpy(found)
+        result = getattr(core, name)(*code_arrays(indices, weights), *arrays, torch.get_num_threads())
+    return torch.from_numpy(result)

@@ -90,7 +90,7 @@ def relative_place(path: Path, target: Path | None) -> str | None:
 
 
 def place_of(path: Path, relative: Any) -> Path | None:
-    """Return where a file is that another one names relative to its own folder, links followed; None for None."""
+    """Return the path of a file named by another relative to its folder, links followed; None for None."""
     return None if relative is None else Path(os.path.normpath(path.resolve().parent / str(relative)))
 
 

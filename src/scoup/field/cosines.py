@@ -32,7 +32,7 @@ def relevancy(
     canonical: Tensor,  # [S, P, ...]
     temperature: float = TEMPERATURE,
 ) -> Tensor:
-    """Return how much better a query fits than the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
+    """Return the advantage of a query over the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
 
     It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)). Where
     nothing is rendered, all cosines are 0 and relevancy is 0.5.
@@ -69,11 +69,11 @@ class FieldCodes:
         return inverse_code_norms(self.indices, self.weights, self.codebook)
 
     def coded(self) -> Tensor:
-        """Return which Gaussians have a code at each level, boolean [S, N]."""
-        found = torch.zeros(self.weights.shape[:2], dtype=torch.bool, device=self.weights.device)
+        """Return the mask of Gaussians with a code at each level, boolean [S, N]."""
+        mask = torch.zeros(self.weights.shape[:2], dtype=torch.bool, device=self.weights.device)
         for weights in self.weights.unbind(-1):
-            found |= weights > 0
-        return found.T.contiguous()
+            mask |= weights > 0
+        return mask.T.contiguous()
 
     def atom_scores(self, vectors: Tensor) -> Tensor:
         """Return the products [S, L, Q] of the atoms with vectors [Q, D]."""
@@ -104,7 +104,7 @@ class GaussianCosines:
     def relevancy(self, queries: Tensor) -> Tensor:
         """Return the relevancy [S, Q, N] of each Gaussian to queries [Q, D]."""
         codes = self.codes
-        # Query by query, so that its company does not change the last bit.
+        # Query by query, so that other queries do not change the last bit.
         scores = [codes.atom_scores(query[None]) for query in queries] or [codes.atom_scores(queries)]
         return code_relevancy(
             codes.indices, codes.weights, self.inverse_norms, self.best, torch.cat(scores, 2), TEMPERATURE
@@ -113,7 +113,7 @@ class GaussianCosines:
 
 @dataclass(frozen=True, eq=False)
 class PixelCosines:
-    """What further queries reuse of the cosines of one view's pixels."""
+    """Terms of the cosines of one view's pixels that further queries reuse."""
 
     inverse_norms: Tensor  # [H, W, S], 0 without a code
     canonical: Tensor  # [P, D], the phrases of the last query
@@ -137,8 +137,8 @@ def pixel_relevancy(
     same_phrases = known is not None and torch.equal(known.canonical, canonical)
     vectors = queries if same_phrases else torch.cat([queries, canonical])
     if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:
-        maps, found = _rendered_in_full(projection, codes, queries, canonical)
-        return maps, known if known is not None and same_phrases else found
+        maps, pixel_cosines = _rendered_in_full(projection, codes, queries, canonical)
+        return maps, known if known is not None and same_phrases else pixel_cosines
     cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
     if not same_phrases:
         cosines, others = cosines[..., : len(queries)], cosines[..., len(queries) :]

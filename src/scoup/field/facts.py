@@ -46,13 +46,13 @@ def read_facts(path: Path) -> dict[str, Any]:
 
 
 def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Return how many things ``field.things()`` has."""
+    """Return the number of things in ``field.things()``."""
     if "things.owners" not in arrays:
         return 0
     counts = np.bincount(arrays["things.owners"].ravel())
     return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
 
 
-def _where(place: Path | None) -> str | None:
+def _where(path: Path | None) -> str | None:
     """Return the path of a file that the field names, and whether it is missing."""
-    return None if place is None else str(place) + ("" if os.path.exists(place) else " (not there)")
+    return None if path is None else str(path) + ("" if os.path.exists(path) else " (not there)")

@@ -131,11 +131,11 @@ class Field:
         return self.levels.index(level)
 
     def coded(self) -> Tensor:
-        """Return which Gaussians have a code at any level, boolean [N]."""
+        """Return the mask of Gaussians with a code at any level, boolean [N]."""
         return self.coded_levels().any(0)
 
     def coded_levels(self) -> Tensor:
-        """Return which Gaussians have a code at each level, boolean [S, N]; do not change it."""
+        """Return the mask of Gaussians with a code at each level, boolean [S, N]; do not change it."""
         return self.kept("coded levels", self.codes.coded)
 
     def kept(self, key: Hashable, make: Callable[[], Value]) -> Value:
@@ -143,7 +143,7 @@ class Field:
         return self.cache.value(key, make, self.parts())
 
     def parts(self) -> list[object]:
-        """Return what answers depend on: tensors, and the cameras, which say where up is."""
+        """Return the dependencies of answers: tensors, and the cameras, which define up."""
         known = self._gaussians
         geometry = () if known is None else (known.means, known.scales, known.opacities)
         codes = self.code_indices, self.code_weights, self.codebook
@@ -274,14 +274,14 @@ class Field:
 
     def to(self: Own, device: torch.device | str) -> Own:
         """Return the field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
-        place, known = torch.empty(0, device=device).device, self._gaussians
+        target, known = torch.empty(0, device=device).device, self._gaussians
         parts = [
             self.code_indices,
             self.code_weights,
             self.codebook,
             *([] if known is None else [known.means]),
         ]
-        if all(part.device == place for part in parts):
+        if all(tensor.device == target for tensor in parts):
             return self
         moved = self.changed(
             None if known is None else known.to(device),

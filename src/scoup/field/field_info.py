@@ -44,7 +44,7 @@ def check_parts(
 ) -> None:
     """Check that codes, codebook, description and things of a field fit together; see ``LanguageField``."""
     sides = {"N": info.n_gaussians, "S": len(info.levels)}
-    arrays = (tensor_array(part) for part in (code_indices, code_weights, codebook))
+    arrays = (tensor_array(tensor) for tensor in (code_indices, code_weights, codebook))
     check_codes(dict(zip(CODES, arrays, strict=True)), sides)
     if things is not None:
         shapes = {"N S": things.owners.shape, "D": things.embeddings.shape[1:]}

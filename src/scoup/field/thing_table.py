@@ -29,7 +29,7 @@ class ThingTable:
     # [N, S] int32, the thing that each Gaussian belongs to at each level; ``NO_THING`` for none
     owners: Tensor
     levels: Tensor  # [T] uint8, position of the level of each thing, rising
-    # [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none
+    # [T] int32, the thing of the next coarser level that contains most of it; ``NO_THING`` for none
     parents: Tensor
     embeddings: Tensor  # [T, D] float16, mean embedding of its regions, unit norm
     # [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all equal
@@ -39,7 +39,7 @@ class ThingTable:
     # [T] float32, how consistently the views that see it segment it: the mean IoU of its regions with what it has in
     # each other view, 0 in views where it has no region
     stability: Tensor
-    names: NameTable | None = None  # that models with words gave to things
+    names: NameTable | None = None  # given by an open-vocabulary detector
 
     __repr__ = brief
 
@@ -73,27 +73,27 @@ class ThingTable:
     def parts(self, thing: int) -> Tensor:
         """Return a thing with its parts and theirs, [T] boolean on the CPU."""
         parents = self.parents.long().cpu()
-        found = torch.arange(len(self)) == thing
+        members = torch.arange(len(self)) == thing
         for _ in range(1, self.owners.shape[1]):
-            found |= (parents != NO_THING) & found[parents]
-        return found
+            members |= (parents != NO_THING) & members[parents]
+        return members
 
     def sums(self, weights: Tensor) -> Tensor:
         """Return [T] float64: the sum of weights [N] over the Gaussians of each thing."""
         weights = weights.cpu()
         gaussians = torch.from_numpy(np.flatnonzero(weights.numpy()))  # few, as a rule
         owners = self.owners[gaussians.to(self.owners.device)].cpu() + 1
-        found, weights = torch.zeros(len(self) + 1, dtype=torch.float64), weights[gaussians].double()
-        for of_level in owners.T:  # in which other levels' numbers own nothing
-            found += torch.bincount(of_level, weights, len(self) + 1)
-        return found[1:]
+        totals, weights = torch.zeros(len(self) + 1, dtype=torch.float64), weights[gaussians].double()
+        for of_level in owners.T:  # numbers of other levels own nothing there
+            totals += torch.bincount(of_level, weights, len(self) + 1)
+        return totals[1:]
 
     def rows(self, chosen: Tensor) -> ThingTable:
         """Return the things of some of the Gaussians; all things stay, those left without a Gaussian too."""
         return replace(self, owners=self.owners[chosen])
 
     def to(self, device: torch.device | str) -> ThingTable:
-        moved = {each: getattr(self, each).to(device) for each in TENSORS}
+        moved = {name: getattr(self, name).to(device) for name in TENSORS}
         return replace(self, **moved)  # names stay: they are small, and used on the CPU
 
 
@@ -109,14 +109,14 @@ def cosine_spread(agreement: Tensor, n_regions: Tensor, dim: int) -> float:
     return max(LEAST_SPREAD, math.sqrt(max(0.0, 1.0 - median * median) / max(1, dim)))
 
 
-TENSORS = tuple(each.name for each in fields(ThingTable) if each.name != "names")
+TENSORS = tuple(attribute.name for attribute in fields(ThingTable) if attribute.name != "names")
 """The attributes of a table that are tensors."""
 
 
 def number_of(texts: Iterable[str], text: str) -> int | None:
     """Return the position of a text among others, whatever its capitals; None if it is not there."""
     same = text.casefold()
-    return next((number for number, each in enumerate(texts) if each.casefold() == same), None)
+    return next((number for number, other in enumerate(texts) if other.casefold() == same), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class NameTable:
 
     def check(self, count: int) -> None:
         """Refuse parts that do not fit together, and names of things beyond ``count``."""
-        parts = (tensor_array(part) for part in (self.presence, self.rows, self.things, self.votes))
+        parts = (tensor_array(tensor) for tensor in (self.presence, self.rows, self.things, self.votes))
         check_names(dict(zip(NAMES, parts, strict=True)), {"M": len(self.texts), "T": count})
 
     def __len__(self) -> int:
@@ -150,26 +150,26 @@ class NameTable:
 
     def votes_of(self, number: int, count: int) -> Tensor:
         """Return the votes of one text for each of ``count`` things, [count] float32."""
-        mine = self.rows == number
-        return torch.zeros(count).index_put_((self.things[mine].long(),), self.votes[mine])
+        chosen = self.rows == number
+        return torch.zeros(count).index_put_((self.things[chosen].long(),), self.votes[chosen])
 
     def matrix(self, count: int) -> Tensor:
         """Return the votes of all texts, [count, M] float32."""
-        found = torch.zeros(count, len(self))
-        found[self.things.long(), self.rows.long()] = self.votes
-        return found
+        matrix = torch.zeros(count, len(self))
+        matrix[self.things.long(), self.rows.long()] = self.votes
+        return matrix
 
     def joined(self, newer: NameTable) -> NameTable:
         """Return both tables as one; texts of both are those of the newer one."""
-        kept = [number for number, text in enumerate(self.texts) if newer.number(text) is None]
-        place = torch.full((len(self),), -1, dtype=torch.int32)
-        place[kept] = torch.arange(len(kept), dtype=torch.int32)
-        rows = place[self.rows.long()]
-        mine = rows >= 0
+        retained = [number for number, text in enumerate(self.texts) if newer.number(text) is None]
+        new_rows = torch.full((len(self),), -1, dtype=torch.int32)
+        new_rows[retained] = torch.arange(len(retained), dtype=torch.int32)
+        rows = new_rows[self.rows.long()]
+        valid = rows >= 0
         return NameTable(
-            (*(self.texts[number] for number in kept), *newer.texts),
-            torch.cat([self.presence[kept], newer.presence]),
-            torch.cat([rows[mine], newer.rows + len(kept)]),
-            torch.cat([self.things[mine], newer.things]),
-            torch.cat([self.votes[mine], newer.votes]),
+            (*(self.texts[number] for number in retained), *newer.texts),
+            torch.cat([self.presence[retained], newer.presence]),
+            torch.cat([rows[valid], newer.rows + len(retained)]),
+            torch.cat([self.things[valid], newer.things]),
+            torch.cat([self.votes[valid], newer.votes]),
         )

@@ -94,12 +94,12 @@ def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> Prepa
 
 
 def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
-    """Return ``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
+    """Return ``gaussians.select(order)`` in temporary files; a view loads only the rows that it sees."""
     moved: dict[str, Tensor] = {}
     for name, rows in gaussians.tensors().items():
         moved[name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
-        for into, part in zip(moved[name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
-            into.copy_(rows[part])
+        for into, chunk in zip(moved[name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
+            into.copy_(rows[chunk])
     return dataclasses.replace(gaussians, **moved)
 
 
@@ -147,7 +147,7 @@ def project(
 
 
 def region_sums(projection: Projection, labels: Tensor | CombinedLabels) -> ViewSums:
-    """Return how much each Gaussian contributes to each region: A[i, r], the sum of e_i over the pixels of r
+    """Return the contribution of each Gaussian to each region: A[i, r], the sum of e_i over the pixels of r
     (method.md, stage 2).
 
     Args:

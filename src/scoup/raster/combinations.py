@@ -25,8 +25,8 @@ class CombinedLabels:
     def digest(self) -> str:
         """Return a SHA-256 that is equal for equal label maps only."""
         digest = hashlib.sha256(str([list(self.map.shape), list(self.table.shape)]).encode())
-        for part in (self.table, self.map):
-            digest.update(part.cpu().contiguous().numpy().data)
+        for tensor in (self.table, self.map):
+            digest.update(tensor.cpu().contiguous().numpy().data)
         return digest.hexdigest()
 
 

@@ -80,10 +80,10 @@ def project(
 def region_sums(projection: NativeProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``."""
     with refusals():
-        found = require_core().region_sums(
+        entries = require_core().region_sums(
             projection.handle, _array(combined.map, torch.int32), torch.get_num_threads()
         )
-    gaussian, combination, weight = (torch.from_numpy(part) for part in found)
+    gaussian, combination, weight = (torch.from_numpy(array) for array in entries)
     return gaussian, combination, weight
 
 
@@ -130,10 +130,10 @@ def render_cosines_and_norms(
     with refusals():
         grams = _array(torch.stack([stable_products(atoms, atoms) for atoms in levels]))
         scores = _array(torch.stack([stable_products(atoms, words) for atoms in levels]))
-        found, norms = require_core().render_cosines(
+        cosines, norms = require_core().render_cosines(
             projection.handle, *table, grams, scores, torch.get_num_threads()
         )
-    return torch.from_numpy(found), torch.from_numpy(norms)
+    return torch.from_numpy(cosines), torch.from_numpy(norms)
 
 
 def render_features(

@@ -26,10 +26,10 @@ def morton_codes(means: Tensor, around: Tensor | None = None) -> tuple[Tensor, f
     rows = _AT_A_TIME_CPU if means.device.type == "cpu" else AT_A_TIME
     parts = means.split(rows)
     inside = parts if around is None else around.split(rows)
-    low = torch.stack([_finite(part).amin(0) for part in inside]).amin(0)
-    span = torch.stack([(_finite(part) - low).amax() for part in inside]).amax()
+    low = torch.stack([_finite(chunk).amin(0) for chunk in inside]).amin(0)
+    span = torch.stack([(_finite(chunk) - low).amax() for chunk in inside]).amax()
     span = span.clamp(min=torch.finfo(torch.float64).tiny)
-    code = torch.cat([_codes(_finite(part), low, span) for part in parts])
+    code = torch.cat([_codes(_finite(chunk), low, span) for chunk in parts])
     return code, float(span) / (2**BITS - 1)
 
 

@@ -60,7 +60,7 @@ def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset
     principal = torch.tensor([camera.cx, camera.cy], dtype=torch.float64, device=points.device)
     # K may contain a skew term; Jacobians in the literature ignore it, and so does this one.
     means2d = points[:, :2] / points[:, 2:] * focal + principal
-    found = ProjectedGaussians(
+    projected = ProjectedGaussians(
         ids,
         means2d,
         points[:, 2],
@@ -69,17 +69,17 @@ def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset
         gaussians.opacities[ids].double().clamp(max=1.0),
     )
     size = torch.tensor([camera.width, camera.height], dtype=torch.float64, device=points.device)
-    extents = found.extents()
+    extents = projected.extents()
     touches = ((means2d + extents >= 0.5) & (means2d - extents <= size - 0.5)).all(1)
     order = torch.nonzero(touches).squeeze(1)
-    order = order[torch.argsort(found.depths[order], stable=True)]
+    order = order[torch.argsort(projected.depths[order], stable=True)]
     return ProjectedGaussians(
-        found.ids[order],
-        found.means2d[order],
-        found.depths[order],
-        found.covariances[order],
-        found.determinants[order],
-        found.opacities[order],
+        projected.ids[order],
+        projected.means2d[order],
+        projected.depths[order],
+        projected.covariances[order],
+        projected.determinants[order],
+        projected.opacities[order],
     )
 
 

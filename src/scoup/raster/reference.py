@@ -69,20 +69,20 @@ def project(
 def region_sums(projection: ReferenceProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``."""
     n_combinations = len(combined.table)
-    found: list[tuple[Tensor, Tensor, Tensor]] = []
+    entries: list[tuple[Tensor, Tensor, Tensor]] = []
     tiled = to_tiles(combined.map[None].long(), projection.bins, fill=-1)[:, 0]  # [tiles, P]
     for batch in _batches(projection):
         one_hot, number_of_column = _one_hot_columns(tiled[batch.tiles], n_combinations)
         for slots, ranks, weights in _blend(projection, batch):
             sums = torch.bmm(weights, one_hot[slots])  # [t, G, C]
             at = torch.nonzero(sums, as_tuple=True)
-            found.append(
+            entries.append(
                 (projection.visible.ids[ranks[at[0], at[1]]], number_of_column[slots[at[0]], at[2]], sums[at])
             )
-    if not found:
+    if not entries:
         empty = torch.zeros(0, dtype=torch.int32, device=combined.map.device)
         return empty, empty, torch.zeros(0, device=combined.map.device)
-    gaussian, number, weight = (torch.cat(parts) for parts in zip(*found, strict=True))
+    gaussian, number, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
     return merge(gaussian, number, weight, max(1, n_combinations))
 
 
@@ -135,8 +135,8 @@ def render_cosines_and_norms(
         painted = blending.T @ _dense_codes(rows_of(indices, ids), weights[ids], n_atoms)
         by_level = painted.view(-1, levels, n_atoms).transpose(0, 1)
         cosines, norms = cosines_and_norms(by_level, scores, grams)  # [S, P, Q] and [S, P]
-        found = torch.cat([cosines, norms[..., None]], 2)
-        tiles[tile] = found.transpose(0, 1).flatten(1)
+        values = torch.cat([cosines, norms[..., None]], 2)
+        tiles[tile] = values.transpose(0, 1).flatten(1)
     image = _from_tiles(tiles, projection).reshape(projection.height, projection.width, levels, count + 1)
     image = image.permute(2, 3, 0, 1)
     return image[:, :count].contiguous(), image[:, count].contiguous()
@@ -213,18 +213,18 @@ def _blend(projection: ReferenceProjection, batch: _Batch) -> Iterator[tuple[Ten
         alpha[:, 1:] *= after[:, :-1]
         # A pixel stops before the Gaussian that would take its transmittance below the bound. Transmittance only
         # falls, so that one and all behind it are the ones masked here.
-        kept = (
+        unstopped = (
             after > projection.preset.stop
             if projection.preset.stop_inclusive
             else after >= projection.preset.stop
         )
-        yield slots, ranks, alpha.mul_(kept)
+        yield slots, ranks, alpha.mul_(unstopped)
 
-        transmittance = after[:, -1] * kept[:, -1]
+        transmittance = after[:, -1] * unstopped[:, -1]
         start = start + CHUNK
         going_on = (start < end) & (transmittance.amax(1) > 0)
         if not going_on.all():
-            slots, start, end, transmittance = (part[going_on] for part in (slots, start, end, transmittance))
+            slots, start, end, transmittance = (item[going_on] for item in (slots, start, end, transmittance))
 
 
 def _alpha(projection: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid: Tensor) -> Tensor:
@@ -277,9 +277,9 @@ def _one_hot_columns(numbers: Tensor, n_numbers: int) -> tuple[Tensor, Tensor]:
     at = torch.nonzero(present, as_tuple=True)
     number_of_column[at[0], column[at]] = at[1]
     # Pixels without a region go to a column of their own, which is then cut off.
-    place = torch.where(numbers >= 0, column.gather(1, numbers.clamp(min=0)), columns)
+    column_of_pixel = torch.where(numbers >= 0, column.gather(1, numbers.clamp(min=0)), columns)
     one_hot = torch.zeros(tiles, pixels, columns + 1, device=numbers.device)
-    one_hot.scatter_(2, place[:, :, None], 1.0)
+    one_hot.scatter_(2, column_of_pixel[:, :, None], 1.0)
     return one_hot[..., :columns].contiguous(), number_of_column
 
 

@@ -1,4 +1,4 @@
-"""Region sums of one view: how much each Gaussian contributes to each combination of its regions."""
+"""Region sums of one view: the contribution of each Gaussian to each combination of its regions."""
 
 from __future__ import annotations
 

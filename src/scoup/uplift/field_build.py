@@ -70,8 +70,8 @@ def build(
     model = recorded_model(sources.embedding_model, sources.words)  # a mistake shows before the long work
     with temporary_folder() as folder:
         if sums is None:
-            place = folder / "sums"
-            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, place, settings.scale)
+            path = folder / "sums"
+            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path, settings.scale)
         check_sums(sums, gaussians, regions, settings)
         views = Cameras(cameras_with_regions(cameras, regions))
         regions = regions.select(views.names)
@@ -170,10 +170,10 @@ def pack(
         >>> scoup.pack(scoup.vote(sums, coded.codes, coded.codebook), coded.codebook, None, info, gaussians).n_atoms
         8
     """
-    place = None if geometry_path is None else Path(geometry_path)
+    path = None if geometry_path is None else Path(geometry_path)
     device, parts = gaussians.device, (codes.indices, codes.weights)
     field = Field(
-        *parts, codebook.to(device), info, geometry_path=place, cameras=cameras, thing_table=things
+        *parts, codebook.to(device), info, geometry_path=path, cameras=cameras, thing_table=things
     ).to(device)
     field.attach(gaussians, known=True)
     return field

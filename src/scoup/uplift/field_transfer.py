@@ -64,18 +64,18 @@ def source_rows(before: Gaussians, after: Gaussians) -> Tensor:
     """Return [M] int64: the row ``before`` whose codes each Gaussian ``after`` gets (``transfer``); -1 for none."""
     from scipy.spatial import KDTree
 
-    old, new = (np.flatnonzero(part.finite().cpu().numpy()) for part in (before, after))
-    found = np.full(len(after), -1)
+    old, new = (np.flatnonzero(scene.finite().cpu().numpy()) for scene in (before, after))
+    sources = np.full(len(after), -1)
     if len(old) and len(new):
-        places, targets = (part.means.double().cpu().numpy() for part in (before, after))
+        places, targets = (scene.means.double().cpu().numpy() for scene in (before, after))
         count = min(constants.NEAREST, len(old))
         of_query = KDTree(places[old]).query(targets[new], k=count, workers=-1)
-        far, near = (np.asarray(part).reshape(len(new), count) for part in of_query)
+        far, near = (np.asarray(array).reshape(len(new), count) for array in of_query)
         inside = far <= before.scales.amax(1).double().cpu().numpy()[old[near]]
         first = inside.argmax(1)[:, None]
         rows = np.take_along_axis(old[near], first, 1)[:, 0]
-        found[new] = np.where(inside.any(1), rows, -1)
-    return torch.from_numpy(found)
+        sources[new] = np.where(inside.any(1), rows, -1)
+    return torch.from_numpy(sources)
 
 
 def _carry_over(rows: Tensor, source: Tensor, others: int = 0) -> Tensor:

@@ -94,8 +94,8 @@ class Fit:
         """Views whose render is clearly more similar to the photograph of another view, and that view."""
         others = np.nan_to_num(self.others, nan=-1.0)
         best = others.argmax(1)
-        found = others.max(1, initial=-1.0)
-        wrong = self.compared & (found >= LIKE) & (found > self.own + BETTER)
+        highest = others.max(1, initial=-1.0)
+        wrong = self.compared & (highest >= LIKE) & (highest > self.own + BETTER)
         return [(self.names[view], self.names[best[view]]) for view in np.flatnonzero(wrong)]
 
     @property
@@ -120,10 +120,10 @@ class Fit:
         few = FEW * compared
         if len(self.unlike) <= few and not self.matches:
             return Verdict.FITS
-        own = np.where(self.coverage < LEAST_COVERED, 0.0, self.own)  # next to nothing looks like nothing
-        own = own[~np.isnan(own)]
-        is_wrong = np.median(own) < LIKE or len(self.mistaken) > few or self.matches
-        return Verdict.HOPELESS if is_wrong and len(own) >= ENOUGH else Verdict.DOUBTFUL
+        values = np.where(self.coverage < LEAST_COVERED, 0.0, self.own)  # hardly covered: unlike
+        values = values[~np.isnan(values)]
+        is_wrong = np.median(values) < LIKE or len(self.mistaken) > few or self.matches
+        return Verdict.HOPELESS if is_wrong and len(values) >= ENOUGH else Verdict.DOUBTFUL
 
     def describe(self) -> dict[str, Any]:
         """Return verdict, number of views tried, and medians of the measurements as JSON values."""
@@ -136,7 +136,7 @@ class Fit:
         }
 
     def reason(self) -> str:
-        """Return why the verdict is not that they fit."""
+        """Return the reason for a verdict other than a fit."""
         blind = [name for name, is_blind in zip(self.names, self.blind, strict=True) if is_blind]
         unlike = self.unlike
         said = []
@@ -144,10 +144,10 @@ class Fit:
             some = share_of(len(blind), len(self.names), "camera tried", "cameras tried")
             said.append(f"{some} {verb(len(blind), 'sees', 'see')} nothing of the splat ({listed(blind)})")
         if unlike:
-            own = float(np.median(self.own[self.compared]))
+            median = float(np.median(self.own[self.compared]))
             some = share_of(len(unlike), int(self.compared.sum()), "render tried", "renders tried")
             differ = verb(len(unlike), "looks unlike its photograph", "look unlike their photographs")
-            said.append(f"{some} {differ} ({listed(unlike)}; median correlation {own:.2f})")
+            said.append(f"{some} {differ} ({listed(unlike)}; median correlation {median:.2f})")
         if self.matches:
             said.append(f"the photographs match {self.matches}")
         if self.mistaken:
@@ -155,7 +155,7 @@ class Fit:
         return ", ".join(said)
 
     def remedies(self) -> str:
-        """Return what to try if the verdict is not that they fit."""
+        """Return remedies for a verdict other than a fit."""
         names = [_SAME_NAMES] if self.mistaken else []
         return "; ".join([*names, _SAME_SCENE, *([_FOCAL] if self.unlike or self.matches else [])])
 
@@ -181,7 +181,7 @@ def check_fit(
 
 
 def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
-    """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
+    """Return the problem with a fit of cameras, or that it was not judged, with remedies; "" for a good fit."""
     where = "the splat " if splat is None else f"{splat}: "
     verdicts = {Verdict.HOPELESS: "does not fit the cameras: ", Verdict.DOUBTFUL: "may not fit the cameras: "}
     if said := verdicts.get(fit.verdict):
@@ -223,7 +223,7 @@ def measure_fit(
 def _changes(
     gaussians: Gaussians, views: Sequence[Camera]
 ) -> Iterator[tuple[str, Gaussians, Sequence[Camera]]]:
-    """What may be true instead: other focal lengths, or a mirrored splat."""
+    """Alternative explanations: other focal lengths, or a mirrored splat."""
     for factor in FOCAL_LENGTHS:
         scale = views[0].K.new_tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
         changed = [replace(view, K=view.K * scale) for view in views]

@@ -105,7 +105,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     provenance = {"mean_cosine": dict(zip(names, cosines, strict=True)), "seed": seed}
     info = _info(names, (model, words), gaussians, raster_preset, "features", provenance)
     indices, weights = (
-        torch.stack([getattr(part, name) for part in parts], 1) for name in ("indices", "weights")
+        torch.stack([getattr(item, name) for item in parts], 1) for name in ("indices", "weights")
     )
     return Field(indices, weights, torch.stack(books), info, gaussians)
 
@@ -179,10 +179,10 @@ def _decoded_features(path: Path, levels: Sequence[np.ndarray], decode: Decoder 
     rows = scratch_array((len(levels[0]), len(levels), dim), np.float16)
     for number, codes in enumerate(levels):
         for start in range(0, len(codes), ROWS_AT_A_TIME):
-            part = codes[start : start + ROWS_AT_A_TIME]
+            block = codes[start : start + ROWS_AT_A_TIME]
             # LangSplat renders codes of unit norm.
-            norms = np.linalg.norm(part, axis=1, keepdims=True)
-            rows[start : start + len(part), number] = decode(part / np.where(norms > 0, norms, 1))
+            norms = np.linalg.norm(block, axis=1, keepdims=True)
+            rows[start : start + len(block), number] = decode(block / np.where(norms > 0, norms, 1))
     return rows
 
 
@@ -190,10 +190,10 @@ def langsplat_levels(path: str | Path) -> list[Path]:
     """Return the checkpoints of one training, fine to coarse: for a file in a folder NAME_1, _2 or _3 those of the same
     name in all three; otherwise the file alone."""
     path = Path(path)
-    found = _LEVEL_FOLDER.fullmatch(path.absolute().parent.name)
-    if not found:
+    match = _LEVEL_FOLDER.fullmatch(path.absolute().parent.name)
+    if not match:
         return [path]
-    beside = [path.absolute().parent.parent / f"{found[1]}_{level}" / path.name for level in (1, 2, 3)]
+    beside = [path.absolute().parent.parent / f"{match[1]}_{level}" / path.name for level in (1, 2, 3)]
     return beside if all(one.is_file() for one in beside) else [path]
 
 
@@ -231,8 +231,8 @@ def _learned_atoms(rows: Tensor | np.ndarray, n_atoms: int, k: int, seed: int, p
     """Return a codebook [L, D] learned from rows that are not zero, a random sample of many."""
     order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))
     drawn: list[Tensor] = []
-    for part in order.split(LEARNED_FROM):
-        chosen = part.sort().values
+    for batch in order.split(LEARNED_FROM):
+        chosen = batch.sort().values
         unit = _unit(rows[chosen.numpy()] if isinstance(rows, np.ndarray) else rows[chosen])
         drawn.append(unit[unit.any(1)])
         if sum(map(len, drawn)) >= LEARNED_FROM:

@@ -47,7 +47,7 @@ def merge_regions(
     # Whole numbers below 2^53 in float64: exact sums.
     root: Matrix = matrix.astype(np.float64)
     seen: Matrix = (root @ one_hot).tocsr()
-    root.data, seen.data = (np.rint(ROOT_STEPS * np.sqrt(part.data)) for part in (root, seen))
+    root.data, seen.data = (np.rint(ROOT_STEPS * np.sqrt(item.data)) for item in (root, seen))
     overlap = (root.T.tocsr() @ root).tocoo()
     reach = (root.T @ seen).toarray()  # D
     first, second = overlap.coords
@@ -88,7 +88,7 @@ def _agglomerate(
             continue
         cluster[cluster == other] = one
         grown[one] += 1
-        grown[other] = -1  # no entry is of that age
+        grown[other] = -1  # no entry has that age
         reach[one] += reach[other]
         seen_in[one] += seen_in[other]
         regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
@@ -99,9 +99,9 @@ def _agglomerate(
         near[one] = others, shared
         unions = reach[others] @ seen_in[one] + seen_in[others] @ reach[one] - shared
         ious = shared / np.maximum(unions, 1)
-        for place in np.flatnonzero(ious > least_iou).tolist():
-            low, high = sorted((one, int(others[place])))
-            heapq.heappush(heap, (-float(ious[place]), low, high, grown[low], grown[high]))
+        for index in np.flatnonzero(ious > least_iou).tolist():
+            low, high = sorted((one, int(others[index])))
+            heapq.heappush(heap, (-float(ious[index]), low, high, grown[low], grown[high]))
     return np.unique(cluster, return_inverse=True)[1].astype(np.int64)
 
 
@@ -110,7 +110,7 @@ def _neighbours(
     overlaps: NDArray[np.float64],  # [P]
     count: int,
 ) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Return, for each region, those that it overlaps, and by how much."""
+    """Return the overlapping regions of each region, and the overlaps."""
     order = np.argsort(pairs.T.ravel(), kind="stable")
     others, overlaps = pairs[:, ::-1].T.ravel()[order], np.tile(overlaps, 2)[order]
     edges = np.cumsum(np.bincount(pairs.ravel(), minlength=count))[:-1]
@@ -128,7 +128,7 @@ def _stability(
     regions, of_cluster = np.zeros((clusters, reach.shape[1])), np.zeros((clusters, reach.shape[1]))
     np.add.at(regions, (labels, views), 1)
     np.add.at(of_cluster, labels, reach)
-    own = reach[np.arange(len(views)), views]
-    seen = of_cluster.sum(1) - np.bincount(labels, own, clusters)
-    back = (regions * of_cluster).sum(1) - np.bincount(labels, own * regions[labels, views], clusters)
+    inner = reach[np.arange(len(views)), views]
+    seen = of_cluster.sum(1) - np.bincount(labels, inner, clusters)
+    back = (regions * of_cluster).sum(1) - np.bincount(labels, inner * regions[labels, views], clusters)
     return shared / np.maximum(seen + back - shared, 1)

@@ -1,4 +1,4 @@
-"""Names for things: what a model with words finds in photographs votes for the things that are there.
+"""Names for things: open-vocabulary detections in photographs vote for the things there.
 
 A detection votes for the things that it overlaps, by its score times the overlap: of boxes, or of masks where the model
 gives masks. The vote of a text for a thing is the mean over the best views, of those that see the thing; so one view
@@ -34,7 +34,7 @@ class ThingsInView:
 
     @property
     def seen(self) -> Tensor:
-        """Return which things have enough pixels, [T] boolean."""
+        """Return the mask of things with enough pixels, [T] boolean."""
         return self.masks.sum((1, 2)) >= constants.NAMING_PIXELS
 
 
@@ -51,8 +51,8 @@ def things_in_view(
         count = min(AT_A_TIME, len(table) - start)
         values = ones.new_zeros(len(gaussians), count)
         for owners in table.owners.to(values.device).T:
-            mine = ((owners >= start) & (owners < start + count)).nonzero()[:, 0]
-            values[mine, owners[mine].long() - start] = 1
+            members = ((owners >= start) & (owners < start + count)).nonzero()[:, 0]
+            values[members, owners[members].long() - start] = 1
         shares = raster.render_values(projection, values).permute(2, 0, 1).cpu()
         masks.append(shares > 0.5 * alpha.clamp(min=0.05))
     together = torch.cat(masks) if masks else torch.zeros(0, small.height, small.width, dtype=torch.bool)
@@ -61,22 +61,22 @@ def things_in_view(
 
 
 def _ends(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where the middle 98 % of pixels counted along one side [T, n] begin and end, [T] float32 each."""
+    """Return start and end of the middle 98 % of pixels counted along one side [T, n], [T] float32 each."""
     below = counts.cumsum(1) / counts.sum(1, keepdim=True).clamp(min=1)
     return (below <= 0.01).sum(1).float(), (below < 0.99).sum(1).float() + 1
 
 
-def overlaps(found: Detections, view: ThingsInView) -> Tensor:
+def overlaps(hits: Detections, view: ThingsInView) -> Tensor:
     """Return the intersection over union of each detection with each thing, [M, T]; 0 with things that are not seen."""
     height, width = view.masks.shape[1:]
-    if found.masks is None:
-        scale = torch.tensor([width / found.size[0], height / found.size[1]]).repeat(2)
-        ious = box_ious(found.boxes * scale, view.boxes)
+    if hits.masks is None:
+        scale = torch.tensor([width / hits.size[0], height / hits.size[1]]).repeat(2)
+        ious = box_ious(hits.boxes * scale, view.boxes)
     else:
-        masks = torch.nn.functional.interpolate(found.masks[:, None].float(), (height, width), mode="area")
-        mine, theirs = masks.flatten(1), view.masks.flatten(1).float()
-        both = mine @ theirs.T
-        ious = both / (mine.sum(1)[:, None] + theirs.sum(1) - both).clamp(min=1)
+        masks = torch.nn.functional.interpolate(hits.masks[:, None].float(), (height, width), mode="area")
+        detected, things = masks.flatten(1), view.masks.flatten(1).float()
+        both = detected @ things.T
+        ious = both / (detected.sum(1)[:, None] + things.sum(1) - both).clamp(min=1)
     return torch.where(view.seen, ious, 0.0)
 
 
@@ -90,7 +90,7 @@ def box_ious(one: Tensor, other: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class ViewVotes:
-    """What one photograph says of M texts and T things: E votes."""
+    """The E votes of one photograph on M texts and T things."""
 
     rows: Tensor  # [E] int64, position of the text
     things: Tensor  # [E] int64
@@ -100,19 +100,19 @@ class ViewVotes:
 
     def of_text(self, row: int) -> ViewVotes:
         """Return the votes of one text, as the only one."""
-        mine = self.rows == row
-        rows = torch.zeros_like(self.rows[mine])
-        return ViewVotes(rows, self.things[mine], self.votes[mine], self.seen, self.tops[row : row + 1])
+        chosen = self.rows == row
+        rows = torch.zeros_like(self.rows[chosen])
+        return ViewVotes(rows, self.things[chosen], self.votes[chosen], self.seen, self.tops[row : row + 1])
 
 
-def votes_in_view(view: ThingsInView, found: Detections, n_texts: int) -> ViewVotes:
+def votes_in_view(view: ThingsInView, hits: Detections, n_texts: int) -> ViewVotes:
     """Return the votes of the detections in one photograph, the best of each text for each thing."""
     count = max(1, len(view.masks))
-    ious = overlaps(found, view)
+    ious = overlaps(hits, view)
     row, thing = (ious >= constants.NAMING_IOU).nonzero(as_tuple=True)
-    keys, place = (found.texts[row] * count + thing).unique(return_inverse=True)
-    votes = torch.zeros(len(keys)).scatter_reduce_(0, place, found.scores[row] * ious[row, thing], "amax")
-    tops = torch.zeros(n_texts).scatter_reduce_(0, found.texts, found.scores, "amax")
+    keys, inverse = (hits.texts[row] * count + thing).unique(return_inverse=True)
+    votes = torch.zeros(len(keys)).scatter_reduce_(0, inverse, hits.scores[row] * ious[row, thing], "amax")
+    tops = torch.zeros(n_texts).scatter_reduce_(0, hits.texts, hits.scores, "amax")
     return ViewVotes(keys // count, keys % count, votes, view.seen, tops)
 
 
@@ -139,8 +139,8 @@ def name_things(
     """Let detections in V >= 1 photographs, which count the texts as ``texts`` does, vote for the things of a scene.
     All texts were looked for in all of the photographs."""
     counted = [
-        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), found, len(texts))
-        for camera, found in views
+        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), hits, len(texts))
+        for camera, hits in views
     ]
     return count_votes(texts, counted)
 
@@ -148,8 +148,8 @@ def name_things(
 def name_field(
     field: Own, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
 ) -> Own:
-    """Return a field whose things are named by what a model found of texts in the photographs of its views (view ->
-    detections); the field itself where none of its views has any."""
+    """Return a field with things named by detections of texts in the photographs of its views (view -> detections); the
+    field itself where no view has any."""
     table = field.thing_table
     views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
     if table is None or not views:
@@ -158,7 +158,7 @@ def name_field(
 
 
 def presence_of(scores: Tensor) -> Tensor:
-    """Return how sure it is that photographs show texts, [M], from the best score of each in each view [V, M]."""
+    """Return the certainty that photographs show texts, [M], from the best score of each in each view [V, M]."""
     best = scores.sort(0, descending=True).values[: constants.BEST_SCORES].mean(0)
     return best / (best + constants.EVEN_SCORE)
 

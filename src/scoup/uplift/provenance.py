@@ -21,8 +21,8 @@ from scoup.uplift.things import FoundThings
 
 
 def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
-    """Return the embedding model and the word table for ``build``; "" and None where unknown. What is ``named`` is a
-    model that takes precedence over the manifest of the regions in ``features``, or a word table.
+    """Return the embedding model and the word table for ``build``; "" and None where unknown. ``named`` is a model,
+    which takes precedence over the manifest of the regions in ``features``, or a word table.
 
     Raises:
         FileFormatError, InputError: what is named is neither, or a table of vectors of another size.
@@ -47,7 +47,7 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
 
 @dataclass(frozen=True)
 class FieldSources:
-    """What a field names of where it comes from.
+    """The sources that a field names.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")

@@ -111,7 +111,7 @@ def add_views(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> RegionSums:
-    """Return the sums with these views: those that ``sums`` lack, or contain with other cameras or label maps, are
+    """Return the sums with these views. Views that ``sums`` lack, or contain with other cameras or label maps, are
     rasterised at their scale.
 
     ``sums`` are not changed. Interrupted at any moment, their folder contains the views that were complete.
@@ -123,8 +123,8 @@ def add_views(
     prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
 
-    def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
-        sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
+    def append(camera: Camera, combined: CombinedLabels, view_sums: ViewSums, order: Tensor | None) -> None:
+        sums.append(camera.name, replace(view_sums, labels_digest=combined.digest()), camera, order)
 
     with ThreadPoolExecutor(1) as writer:  # appends a view while the next one is projected
         written: Future[None] | None = None
@@ -141,8 +141,8 @@ def add_views(
             projection = raster.project(prepared, camera, sums.raster_preset)
             if written is not None:
                 written.result()  # before the next one: if killed, one view at most is lost
-            found = raster.region_sums(projection, combined)
-            written = writer.submit(append, camera, combined, found, prepared.order)
+            view_sums = raster.region_sums(projection, combined)
+            written = writer.submit(append, camera, combined, view_sums, prepared.order)
             progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
@@ -166,8 +166,8 @@ def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) ->
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
 ) -> Iterator[tuple[Camera, CombinedLabels]]:
-    """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. What goes to a
-    GPU is in pinned memory, which is copied fastest.
+    """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. Labels for
+    a GPU are in pinned memory, which is copied fastest.
     """
 
     def load(camera: Camera) -> CombinedLabels:

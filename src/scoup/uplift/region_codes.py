@@ -52,15 +52,15 @@ class RegionEmbeddings:
 
     def check(self) -> None:
         """Raise an InputError if they cannot be coded: a level is empty or all zero, or levels differ in size."""
-        sizes = {level: part.shape[1] for level, part in zip(self.levels, self.of_levels, strict=True)}
+        sizes = {level: rows.shape[1] for level, rows in zip(self.levels, self.of_levels, strict=True)}
         if len(set(sizes.values())) > 1:
             raise InputError(f"the levels have embeddings of different sizes {sizes}: they mix models")
-        for level, part in zip(self.levels, self.of_levels, strict=True):
-            if not len(part):
+        for level, rows in zip(self.levels, self.of_levels, strict=True):
+            if not len(rows):
                 raise InputError(f"level {level!r} has no regions in any view; every level needs some")
-            if problem := codes_problem(part.shape[1]):
+            if problem := codes_problem(rows.shape[1]):
                 raise InputError(problem)
-            if not part.any():
+            if not rows.any():
                 raise InputError(
                     f"level {level!r} has only zero embeddings, as the embedder colors makes of black photographs; "
                     "check the photographs, or extract the regions with a CLIP model"
@@ -188,7 +188,7 @@ def inputs_digest(
     for camera in cameras:
         digest.update(json.dumps([camera.name, camera.fingerprint()]).encode())
     for level, of_level, rows in zip(embeddings.levels, embeddings.of_levels, embeddings.rows, strict=True):
-        ends = {name: part.stop for name, part in rows.items()}
+        ends = {name: span.stop for name, span in rows.items()}
         digest.update(json.dumps([level, list(of_level.shape), ends]).encode())
         digest.update(of_level.contiguous().numpy().data)
     return digest.hexdigest()

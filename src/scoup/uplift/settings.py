@@ -14,7 +14,7 @@ _OF_FIT = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
 
 
 def check_scale(scale: Scale) -> None:
-    """Raise an InputError for a scale that is none."""
+    """Raise an InputError for an invalid scale."""
     if scale != "auto" and not (isinstance(scale, (int, float)) and 0 < scale <= 1):
         raise InputError(f'the scale must be "auto", or above 0 and at most 1, got {scale!r}')
 
@@ -66,7 +66,7 @@ class BuildSettings:
         return {name: getattr(self, name) for name in _OF_FIT}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what decides the result, as JSON values: all but ``check_fit`` and ``backend``."""
+        """Return the settings that decide the result, as JSON values: all but ``check_fit`` and ``backend``."""
         return {
             name: value
             for name, value in dataclasses.asdict(self).items()

@@ -108,6 +108,6 @@ def detail(images: Array) -> Array:
         return ndimage.gaussian_filter(maps, (0, sigma * scale, sigma * scale, 0), mode="nearest")
 
     fine = blurred(images, FINEST)
-    found = fine - blurred(fine, COARSEST)
-    power = blurred((found**2).mean(3, keepdims=True), COARSEST)
-    return found / np.sqrt(power + LEAST_CONTRAST**2)
+    details = fine - blurred(fine, COARSEST)
+    power = blurred((details**2).mean(3, keepdims=True), COARSEST)
+    return details / np.sqrt(power + LEAST_CONTRAST**2)

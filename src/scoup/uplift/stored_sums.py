@@ -194,7 +194,7 @@ class RegionSums:
 
     def n_regions(self, view_name: str) -> list[int]:
         """Return [S], the highest region that an entry of a view can have at each level, plus one."""
-        tables = [part.table for part in self._require(view_name).parts]
+        tables = [entries.table for entries in self._require(view_name).parts]
         highest = np.max([table.max(0, initial=-1) for table in tables], axis=0)
         return (highest + 1).tolist()
 
@@ -238,12 +238,12 @@ class RegionSums:
         self._unflushed.clear()
 
     def select(self, view_names: Iterable[str], rows: Rows | Callable[[], Rows]) -> RegionSums:
-        """Return the sums of some views, sharing memory, with the rows of these views, or what makes them when they are
-        first needed."""
-        part = copy.copy(self)
-        part.views = {name: self._require(name) for name in view_names}
-        part._rows = rows
-        return part
+        """Return the sums of some views, sharing memory, with the rows of these views, or a function that makes them
+        on first use."""
+        selection = copy.copy(self)
+        selection.views = {name: self._require(name) for name in view_names}
+        selection._rows = rows
+        return selection
 
     def matrix(self, level: int, rows: Mapping[str, slice] | None = None) -> csr_array:
         """Return A [N, R] of one level as a scipy CSR matrix, float32; R counts the regions of all views.
@@ -305,8 +305,8 @@ class RegionSums:
             ViewRecord.from_arrays(stored.header, stored.arrays, stored.bytes),
             str(stored.header["name"]),
         )
-        for part in view.parts:
-            part.check(len(self.levels))
+        for entries in view.parts:
+            entries.check(len(self.levels))
         before = self.views.pop(name, None)  # views are in the order in which they were added
         self.views[name] = view
         self.bytes += view.bytes - (before.bytes if before else 0)

@@ -58,17 +58,17 @@ def find_things(
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
     entries = _keep_large_gaussians(_strong_entries(sums, names))
-    found: list[_LevelThings] = []
+    of_levels: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
         matrix = _by_region(entries, number, len(of_level))
-        mine = {name: rows[name] for name in names}
-        found.append(_things_of_level(matrix, mine, of_level, MOST_THINGS // len(embeddings)))
+        view_rows = {name: rows[name] for name in names}
+        of_levels.append(_things_of_level(matrix, view_rows, of_level, MOST_THINGS // len(embeddings)))
     progress("things", len(embeddings), len(embeddings))
-    owners, strays = _owners(sums, found), []
+    owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
         strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
-    return FoundThings(_number_things(found, owners), strays)
+    return FoundThings(_number_things(of_levels, owners), strays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,30 +94,30 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
     """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order."""
     count = sums.n_gaussians
     assert sums.rows is not None
-    deciding = [(name, part, *_deciding(part, count)) for name in names for part in sums.views[name].parts]
+    deciding = [(name, item, *_deciding(item, count)) for name in names for item in sums.views[name].parts]
     total, largest = np.zeros(count), np.zeros(count, np.float32)
     for _, _, gaussians, weights, _ in deciding:
         starts = np.flatnonzero(np.diff(gaussians, prepend=-1))
         if len(starts):
-            each = gaussians[starts]
-            total[each] += np.add.reduceat(weights.astype(np.float64), starts)
-            largest[each] = np.maximum(largest[each], np.maximum.reduceat(weights, starts))
-    kept = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
-    for name, part, gaussians, weights, combinations in deciding:
+            distinct = gaussians[starts]
+            total[distinct] += np.add.reduceat(weights.astype(np.float64), starts)
+            largest[distinct] = np.maximum(largest[distinct], np.maximum.reduceat(weights, starts))
+    triplets = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
+    for name, entries, gaussians, weights, combinations in deciding:
         firsts = np.array([rows[name].start for rows in sums.rows])
         strong = np.flatnonzero((weights >= constants.LEAST_SHARE * largest[gaussians]) & (weights > 0))
-        table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
-        kept.append((gaussians[strong], table[combinations[strong]], weights[strong]))
-    gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        table = np.where(entries.table >= 0, entries.table + firsts, -1).astype(np.int32)
+        triplets.append((gaussians[strong], table[combinations[strong]], weights[strong]))
+    gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*triplets, strict=True))
     return _StrongEntries(gaussians, regions, weights, total)
 
 
-def _deciding(part: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint16]]:
+def _deciding(sums: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint16]]:
     """Return (gaussian, weight, label tuple) of the entries whose Gaussians, of ``count``, decide."""
-    part.check_numbers(count)
-    gaussians = part.gaussians().astype(np.int32)
+    sums.check_numbers(count)
+    gaussians = sums.gaussians().astype(np.int32)
     chosen = np.flatnonzero(gaussians % max(1, -(-count // constants.MOST_DECIDING)) == 0)
-    return gaussians[chosen], part.weights[chosen].astype(np.float32), part.combinations[chosen]
+    return gaussians[chosen], sums.weights[chosen].astype(np.float32), sums.combinations[chosen]
 
 
 def _keep_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
@@ -127,9 +127,9 @@ def _keep_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
     decides = np.zeros(len(entries.total), bool)
     if len(mass) and mass[-1] > 0:
         decides[order[: int(np.searchsorted(mass, constants.MASS * mass[-1])) + 1]] = True
-    mine = decides[entries.gaussians]
+    chosen = decides[entries.gaussians]
     return _StrongEntries(
-        entries.gaussians[mine], entries.regions[mine], entries.weights[mine], entries.total
+        entries.gaussians[chosen], entries.regions[chosen], entries.weights[chosen], entries.total
     )
 
 
@@ -163,8 +163,8 @@ def _things_of_level(
 ) -> _LevelThings:
     order, views = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for number, name in enumerate(sorted(rows)):
-        mine = np.arange(rows[name].start, rows[name].stop)
-        order, views = np.append(order, mine), np.append(views, np.full(len(mine), number))
+        columns = np.arange(rows[name].start, rows[name].stop)
+        order, views = np.append(order, columns), np.append(views, np.full(len(columns), number))
     labels = np.full(matrix.shape[1], -1)
     labels[order], stability = merge_regions(matrix[:, order], views)
     region_mass = np.asarray(matrix.sum(0)).ravel()
@@ -172,9 +172,9 @@ def _things_of_level(
     mass = np.bincount(labels[order], region_mass[order], len(sizes))
     things = np.flatnonzero((sizes >= constants.LEAST_REGIONS) & (mass > 0))
     things = things[np.argsort(-mass[things], kind="stable")][:most]
-    place = np.full(len(sizes), -1)
-    place[things] = np.arange(len(things))
-    member = np.where(labels >= 0, place[labels], -1)
+    numbers = np.full(len(sizes), -1)
+    numbers[things] = np.arange(len(things))
+    member = np.where(labels >= 0, numbers[labels], -1)
     means, agreement = mean_embeddings(embeddings, member, region_mass, len(things))
     counts = sizes[things].astype(np.int32)
     masses, stable = mass[things].astype(np.float32), stability[things].astype(np.float32)
@@ -193,28 +193,28 @@ def mean_embeddings(
 
     # Rounded as they are kept beside region sums, where updates read them.
     rows = normalise_embeddings(embeddings.cpu().half().float()).double().numpy()
-    mine = np.flatnonzero((member >= 0) & rows.any(1))
-    weights = np.sqrt(mass[mine].astype(np.float64))
-    summed = csr_array((weights, (member[mine], mine)), (count, len(rows))) @ rows
-    total = np.bincount(member[mine], weights, count)
+    members = np.flatnonzero((member >= 0) & rows.any(1))
+    weights = np.sqrt(mass[members].astype(np.float64))
+    summed = csr_array((weights, (member[members], members)), (count, len(rows))) @ rows
+    total = np.bincount(member[members], weights, count)
     norm = np.linalg.norm(summed, axis=1)
     agreement = np.divide(norm, total, out=np.ones(count), where=total > 0).clip(0, 1)
     unit = summed / np.maximum(norm, 1e-300)[:, None]
     return unit.astype(np.float32), agreement.astype(np.float32)
 
 
-def _owners(sums: RegionSums, found: Sequence[_LevelThings]) -> NDArray[np.int64]:
+def _owners(sums: RegionSums, of_levels: Sequence[_LevelThings]) -> NDArray[np.int64]:
     """Return [N, S], the thing per level that each Gaussian of the scene contributes to most, -1 for none.
 
     This is a vote in which the code of a region is its thing.
     """
-    most = max(1, *(len(level.agreement) for level in found))
+    most = max(1, *(len(level.agreement) for level in of_levels))
     codes = []
-    for level in found:
+    for level in of_levels:
         there = torch.from_numpy(level.member >= 0)
         indices = torch.from_numpy(level.member).clamp(min=0)[:, None].to(index_dtype(most))
         codes.append(SparseCodes(indices, there[:, None].float(), most))
-    voted = vote(sums, codes, torch.ones(len(found), most, 1), keep=1)
+    voted = vote(sums, codes, torch.ones(len(of_levels), most, 1), keep=1)
     owners = voted.indices[..., 0].numpy().astype(np.int64)
     return np.where(voted.weights[..., 0].numpy() > 0, owners, -1)
 
@@ -231,25 +231,25 @@ def _drop_strays(sums: RegionSums, owners: NDArray[np.int64], weights: NDArray[n
     return int(strays.sum())
 
 
-def _number_things(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> ThingTable:
+def _number_things(of_levels: Sequence[_LevelThings], owners: NDArray[np.int64]) -> ThingTable:
     """Number the things of all levels, level by level, and find their parents."""
-    sizes = [len(level.agreement) for level in found]
+    sizes = [len(level.agreement) for level in of_levels]
     first = np.cumsum([0, *sizes])
     parents = np.full(first[-1], NO_THING, np.int32)
-    for number in range(len(found) - 1):
+    for number in range(len(of_levels) - 1):
         fine, coarse = owners[:, number], owners[:, number + 1]
-        own = np.bincount(fine[fine >= 0], minlength=sizes[number])
+        thing_sizes = np.bincount(fine[fine >= 0], minlength=sizes[number])
         both = (fine >= 0) & (coarse >= 0)
         keys, counts = np.unique(fine[both] * max(1, sizes[number + 1]) + coarse[both], return_counts=True)
         thing, parent = np.divmod(keys, max(1, sizes[number + 1]))
-        inside = counts > constants.INSIDE * own[thing]  # true of one parent at most
+        inside = counts > constants.INSIDE * thing_sizes[thing]  # true of one parent at most
         parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
     numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
     embeddings, agreement, n_regions, mass, stability = (
-        torch.from_numpy(np.concatenate([getattr(level, name) for level in found]))
+        torch.from_numpy(np.concatenate([getattr(level, name) for level in of_levels]))
         for name in ("embeddings", "agreement", "n_regions", "mass", "stability")
     )
-    levels = np.repeat(np.arange(len(found)), sizes).astype(np.uint8)
+    levels = np.repeat(np.arange(len(of_levels)), sizes).astype(np.uint8)
     owned = torch.from_numpy(numbered.astype(np.int32))
     return ThingTable(
         owned,

@@ -39,13 +39,13 @@ def find_strays(
     cells = np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST
     keys = thing << 45 | cells[:, 0] << 30 | cells[:, 1] << 15 | cells[:, 2]
     filled, cell = np.unique(keys, return_inverse=True)
-    part = _touching_parts(filled)[cell]
-    weight = np.bincount(part, weights)
-    of_part = np.zeros(len(weight), np.int64)
-    of_part[part] = thing
+    component = _touching_parts(filled)[cell]
+    weight = np.bincount(component, weights)
+    of_component = np.zeros(len(weight), np.int64)
+    of_component[component] = thing
     body = np.zeros(len(things))
-    np.maximum.at(body, of_part, weight)
-    strays[members] = (weight < constants.KEPT * body[of_part])[part]
+    np.maximum.at(body, of_component, weight)
+    strays[members] = (weight < constants.KEPT * body[of_component])[component]
     return strays
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scoup.uplift.vote_backends import native, reference
 
 BATCHES = 16  # on a CPU
-# Modules with a class ``Vote``; that of the reference says what all of them do.
+# Modules with a class ``Vote``; the reference documents it.
 BACKENDS = {
     "native": "scoup.uplift.vote_backends.native",
     "reference": "scoup.uplift.vote_backends.reference",
@@ -101,22 +101,22 @@ def vote(
     module = load_backend(BACKENDS, codebook.device, backend, "vote")[1]
 
     def prepare(names: Sequence[str]) -> reference.Vote | native.Vote:
-        parts = [part for name in names for part in views[name]]
+        parts = [entries for name in names for entries in views[name]]
         return module.Vote(sums.n_gaussians, parts, codes, grams, codebook.device)
 
     all_views = prepare(list(views))
     batches = _batches(sums.n_buckets, all_views.batches)
     done, total = 0, rounds * len(batches)
 
-    def one_round(kept: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
+    def one_round(count: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
         nonlocal done
-        shape, device = (sums.n_gaussians, len(codes), kept), codebook.device
+        shape, device = (sums.n_gaussians, len(codes), count), codebook.device
         indices = torch.empty(shape, dtype=index_dtype(codes[0].n_atoms), device=device)
         weights = torch.empty(shape, device=device)
         for batch in batches:
             progress("vote", done, total)
             rows = slice(batch.start * BUCKET, batch.stop * BUCKET)
-            some, weights[rows] = all_views.round(kept, earlier, not last, batch)
+            some, weights[rows] = all_views.round(count, earlier, not last, batch)
             signed(indices)[rows] = signed(some)
             done += 1
         return indices, weights
@@ -146,8 +146,8 @@ def _coded_entries(sums: RegionSums) -> dict[str, list[CodedEntries]]:
     for name in sums.rows[0]:
         firsts = np.array([of_level[name].start for of_level in sums.rows], np.int64)
         views[name] = [
-            CodedEntries(part, np.where(part.table >= 0, part.table + firsts, -1))
-            for part in sums.views[name].parts
+            CodedEntries(entries, np.where(entries.table >= 0, entries.table + firsts, -1))
+            for entries in sums.views[name].parts
         ]
     return views
 

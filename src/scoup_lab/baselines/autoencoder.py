@@ -1,4 +1,4 @@
-"""LangSplat's autoencoder: three numbers for each region, and a network that makes an embedding of them again.
+"""LangSplat's autoencoder: three numbers per region, and a network that decodes them to an embedding.
 
 What sparse codes are compared with in method.md. A splat of LangSplat stores the three numbers for each Gaussian, and
 a picture of it three for each pixel; every query needs the network, which is trained for each scene.
@@ -104,10 +104,10 @@ def fit_autoencoder(
     return Autoencoder(*_parts(network.eval()), dim, code_size)
 
 
-def reconstruction_loss(found: Tensor, rows: Tensor) -> Tensor:
+def reconstruction_loss(outputs: Tensor, rows: Tensor) -> Tensor:
     """Return the loss of LangSplat between reconstructions and rows, both [B, D]."""
-    cosine = torch.nn.functional.cosine_similarity(found, rows, dim=1)
-    return (found - rows).square().mean() + COSINE_WEIGHT * (1 - cosine.mean())
+    cosine = torch.nn.functional.cosine_similarity(outputs, rows, dim=1)
+    return (outputs - rows).square().mean() + COSINE_WEIGHT * (1 - cosine.mean())
 
 
 def _layers(sizes: tuple[int, ...], random: torch.Generator, normalised: bool) -> nn.Sequential:
@@ -131,10 +131,10 @@ def _trained(
     random: torch.Generator,
     progress: Progress,
 ) -> nn.Sequential:
-    """Return the network as it was after the best of the last epochs."""
+    """Return the checkpoint of the best of the last epochs."""
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     total = settings.epochs * len(_batches(torch.arange(len(rows)), settings.batch))
-    best, kept, done = -2.0, network, 0
+    best, chosen_network, done = -2.0, network, 0
     progress("autoencoder", 0, total)
     for epoch in range(settings.epochs):
         network.train()
@@ -150,8 +150,8 @@ def _trained(
         if epoch >= settings.epochs - KEPT_OF_LAST:
             cosine = float(_cosines(network.eval(), rows).double().mean())
             if cosine > best:
-                best, kept = cosine, copy.deepcopy(network)
-    return kept
+                best, chosen_network = cosine, copy.deepcopy(network)
+    return chosen_network
 
 
 def _batches(order: Tensor, size: int) -> list[Tensor]:
@@ -172,8 +172,8 @@ def _parts(network: nn.Sequential) -> tuple[nn.Sequential, nn.Sequential]:
 
 
 def _reconstructed(network: nn.Sequential, rows: Tensor) -> Tensor:
-    for part in network:
-        rows = torch.nn.functional.normalize(part(rows), dim=1)
+    for layers in network:
+        rows = torch.nn.functional.normalize(layers(rows), dim=1)
     return rows
 
 
@@ -185,13 +185,13 @@ def _cosines(network: nn.Sequential, rows: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def _apply(part: nn.Sequential, rows: Tensor, outputs: int) -> Tensor:
+def _apply(network: nn.Sequential, rows: Tensor, outputs: int) -> Tensor:
     """Return [R, outputs] of unit norm; zeros for rows of norm zero."""
-    parameter = next(part.parameters())
-    found = torch.zeros(len(rows), outputs, device=parameter.device)
+    parameter = next(network.parameters())
+    result = torch.zeros(len(rows), outputs, device=parameter.device)
     for start in range(0, len(rows), _BLOCK_ROWS):
         block = rows[start : start + _BLOCK_ROWS].to(parameter.device)
         filled = block.any(1)
-        made = torch.nn.functional.normalize(part(block), dim=1)
-        found[start : start + _BLOCK_ROWS] = torch.where(filled[:, None], made, 0.0)
-    return found.to(rows.device)
+        made = torch.nn.functional.normalize(network(block), dim=1)
+        result[start : start + _BLOCK_ROWS] = torch.where(filled[:, None], made, 0.0)
+    return result.to(rows.device)

@@ -118,8 +118,8 @@ class FittedField:
         indices, weights, codebook = self.field.code_indices, self.field.code_weights, self.field.codebook
         if size is None or size == (projection.width, projection.height):
             both = torch.cat([queries, canonical]).float().to(codebook.device)
-            found = raster.render_cosines(projection, indices, weights, codebook, both)
-            return relevancy(found[:, : len(queries)], found[:, len(queries) :])
+            maps = raster.render_cosines(projection, indices, weights, codebook, both)
+            return relevancy(maps[:, : len(queries)], maps[:, len(queries) :])
         images = (
             image.cpu() for image in raster.render_codes(projection, indices, weights, codebook.shape[1])
         )
@@ -165,11 +165,11 @@ def image_relevancy(image: Tensor, cosines: Cosines, queries: Tensor, canonical:
     """Return [Q, H, W] relevancy of rendered channels [H, W, C], some pixels at a time."""
     both, count = torch.cat([queries, canonical]), len(queries)
     rows = image.reshape(-1, image.shape[2])
-    found = torch.empty(count, len(rows))
+    result = torch.empty(count, len(rows))
     for start in range(0, len(rows), ROWS_AT_A_TIME):
-        part = cosines(rows[start : start + ROWS_AT_A_TIME], both).T
-        found[:, start : start + ROWS_AT_A_TIME] = relevancy(part[None, :count], part[None, count:])[0]
-    return found.view(count, *image.shape[:2])
+        block = cosines(rows[start : start + ROWS_AT_A_TIME], both).T
+        result[:, start : start + ROWS_AT_A_TIME] = relevancy(block[None, :count], block[None, count:])[0]
+    return result.view(count, *image.shape[:2])
 
 
 def embedding_cosines(rows: Tensor, queries: Tensor) -> Tensor:
@@ -189,7 +189,7 @@ def resized_image(image: Tensor, width: int, height: int) -> Tensor:
     if tuple(image.shape[:2]) == (height, width):
         return image
     channels_first = image.permute(2, 0, 1)[None]
-    found = torch.nn.functional.interpolate(
+    resized = torch.nn.functional.interpolate(
         channels_first, size=(height, width), mode="bilinear", align_corners=False
     )
-    return found[0].permute(1, 2, 0).contiguous()
+    return resized[0].permute(1, 2, 0).contiguous()

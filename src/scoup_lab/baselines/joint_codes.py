@@ -120,11 +120,11 @@ def top_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
     to sum 1, which is the softmax over the K largest logits. Largest first; of equal ones the first."""
     # One largest after the other and not topk, which picks any of equal logits and takes longer for few.
     left = logits.detach().clone()
-    found = []
+    atoms = []
     for _ in range(k):
-        found.append(left.argmax(1, keepdim=True))
-        left.scatter_(1, found[-1], -torch.inf)
-    indices = torch.cat(found, 1)
+        atoms.append(left.argmax(1, keepdim=True))
+        left.scatter_(1, atoms[-1], -torch.inf)
+    indices = torch.cat(atoms, 1)
     return indices, logits.gather(1, indices).softmax(1)
 
 
@@ -133,8 +133,8 @@ def rendering_loss(view: ViewWeights, logits: Tensor, atoms: Tensor, targets: Vi
 
     ``logits``: [M, L] of its members; ``atoms``: [L, D].
     """
-    found, weights = top_codes(logits, k)
-    codes = torch.zeros_like(logits).scatter(1, found, weights)
+    indices, weights = top_codes(logits, k)
+    codes = torch.zeros_like(logits).scatter(1, indices, weights)
     coefficients = rendered(view, codes)[targets.pixels]  # [P, L]
     toward = (targets.embeddings @ atoms.T)[targets.regions]
     squared = ((coefficients @ (atoms @ atoms.T)) * coefficients).sum(1)
@@ -146,12 +146,12 @@ def _targets(
     views: Sequence[ViewWeights], embeddings: Tensor, rows: Mapping[str, slice], level: int
 ) -> list[ViewTargets]:
     unit = normalise_embeddings(embeddings)
-    found = []
+    targets = []
     for view in views:
         labels = view.labels[level]
         pixels = (labels >= 0).nonzero()[:, 0]
-        found.append(ViewTargets(pixels, labels[pixels], unit[rows[view.name]]))
-    return found
+        targets.append(ViewTargets(pixels, labels[pixels], unit[rows[view.name]]))
+    return targets
 
 
 class _Training:

@@ -124,4 +124,4 @@ METHODS = Registry("method", "scoup_lab.baselines", Method, (*PRESETS, *BASELINE
 COMPARED = tuple(
     method.name for method in (*PRESETS, *BASELINES) if method.name not in ("sparse-all", "joint-codes")
 )
-"""Those compared by default: without one that the ablations cover, and without the slowest."""
+"""Methods compared by default: without one that the ablations cover, and without the slowest."""

@@ -1,4 +1,4 @@
-"""Rules of which pixels count for which Gaussians.
+"""Rules for the pixels that count for a Gaussian.
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
@@ -44,9 +44,9 @@ class PixelWeights:
     def joined(cls, parts: Sequence[PixelWeights]) -> PixelWeights:
         """Return the pairs of all parts, one part after the other."""
         return cls(
-            np.concatenate([part.gaussian for part in parts]),
-            np.concatenate([part.pixel for part in parts]),
-            np.concatenate([part.weight for part in parts]),
+            np.concatenate([pairs.gaussian for pairs in parts]),
+            np.concatenate([pairs.pixel for pairs in parts]),
+            np.concatenate([pairs.weight for pairs in parts]),
         )
 
 
@@ -73,20 +73,20 @@ class PairRule(ABC):
         each Gaussian, -1 for none."""
 
     def of_view(self, pairs: PixelWeights) -> PixelWeights:
-        """Return the pairs of a whole view that count, of those that count in its bands; all of them by default."""
+        """Filter the pairs of a whole view that count in its bands; by default all count."""
         return pairs
 
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """Return region sums of all views that count only what the rule keeps."""
+        """Return region sums of all views over the pairs that the rule keeps."""
         sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
             projection = raster.project(gaussians, camera, raster_preset)
             centres = centre_pixels(gaussians, camera)
-            kept = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
-            sums.append(camera.name, _view_sums(self.of_view(kept), labels), camera)
+            pixels = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
+            sums.append(camera.name, _view_sums(self.of_view(pixels), labels), camera)
         sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
         return sums
 
@@ -146,8 +146,8 @@ class TopContributors(PairRule):
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
         order, first = _strongest_first(pairs)
-        place = np.arange(len(order))
-        rank = place - np.maximum.accumulate(np.where(first, place, 0))
+        index = np.arange(len(order))
+        rank = index - np.maximum.accumulate(np.where(first, index, 0))
         chosen = np.zeros(len(order), bool)
         chosen[order] = rank < self.count
         return pairs.kept(chosen)
@@ -165,7 +165,7 @@ def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME)
         count = (bottom - top) * width
         labels[0, top:bottom] = torch.arange(count, dtype=torch.int32).view(bottom - top, width)
         gaussian, pixel, weight = (
-            part.cpu().numpy() for part in raster.region_sums(projection, labels).triplets(0)
+            tensor.cpu().numpy() for tensor in raster.region_sums(projection, labels).triplets(0)
         )
         yield PixelWeights(gaussian, pixel + top * width, weight)
 
@@ -197,5 +197,5 @@ def _view_sums(pairs: PixelWeights, labels: Tensor) -> ViewSums:
     combined = raster.combine(labels)
     combination = combined.map.flatten()[torch.from_numpy(pairs.pixel)]
     there = combination >= 0
-    gaussian, weight = (torch.from_numpy(part)[there] for part in (pairs.gaussian, pairs.weight))
+    gaussian, weight = (torch.from_numpy(array)[there] for array in (pairs.gaussian, pairs.weight))
     return ViewSums(*merge(gaussian, combination[there], weight, max(1, len(combined.table))), combined.table)

@@ -34,7 +34,7 @@ class ProductQuantiser:
     def encode(self, rows: Tensor) -> Tensor:
         """Return [R, M] uint8 codes of rows [R, D]."""
         parts = _cut(rows.detach().cpu().float().numpy(), self.n_parts)
-        codes = [vq(part, of_part)[0] for part, of_part in zip(parts, self.centroids, strict=True)]
+        codes = [vq(columns, of_part)[0] for columns, of_part in zip(parts, self.centroids, strict=True)]
         return torch.from_numpy(np.stack(codes, 1).astype(np.uint8))
 
     def decode(self, codes: Tensor) -> Tensor:
@@ -58,11 +58,11 @@ def fit_product_quantiser(
     if len(array) > SAMPLED:
         array = array[np.sort(rng.choice(len(array), SAMPLED, replace=False))]
     centroids = []
-    for part in _cut(array, n_parts):
-        start = part[rng.choice(len(part), min(CENTROIDS, len(part)), replace=False)]
+    for columns in _cut(array, n_parts):
+        start = columns[rng.choice(len(columns), min(CENTROIDS, len(columns)), replace=False)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a centroid that no row is nearest to stays where it is
-            centroids.append(kmeans2(part, start, iterations, minit="matrix")[0])
+            centroids.append(kmeans2(columns, start, iterations, minit="matrix")[0])
     return ProductQuantiser(np.stack(centroids))
 
 

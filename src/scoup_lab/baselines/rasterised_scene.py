@@ -82,12 +82,12 @@ class RasterisedScene:
         return self._sums[pixels]
 
     def seconds(self, pixels: PixelRule = ALL_PIXELS) -> float:
-        """Return how long it took to make the region sums by a rule."""
+        """Return the seconds that the region sums of a rule took."""
         self.region_sums(pixels)
         return self._seconds[pixels]
 
     def inputs(self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0) -> UpliftInputs:
-        """Return what a method is fitted to, from a share of the views, spread evenly."""
+        """Return the inputs of a method from a share of the views, spread evenly."""
         sums = self.region_sums(pixels)
         regions = self.regions if views == 1 else spread_views(self.regions, views)
         if views not in self._embeddings:
@@ -108,4 +108,4 @@ def spread_views(regions: Regions, share: float) -> Regions:
     names = regions.view_names
     count = max(1, round(share * len(names)))
     places = ((np.arange(count) + 0.5) * len(names) / count).astype(int)
-    return regions.select(names[place] for place in places)
+    return regions.select(names[index] for index in places)

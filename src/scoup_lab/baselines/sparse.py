@@ -26,12 +26,12 @@ class SparseUplift:
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
         build = replace(settings.build, seed=settings.seed, **self.changes)
-        found, codebook = vote_codes(inputs, build)
+        codes, codebook = vote_codes(inputs, build)
         if self.dropped is not None:
             whole, _ = vote_codes(inputs, build, all_kept=True)
-            found = without_half(found, whole, self.dropped)
+            codes = without_half(codes, whole, self.dropped)
         things = inputs.things() if build.things else None
-        return fitted_field(inputs.sums, found.indices, found.weights, codebook, not build.keep, things)
+        return fitted_field(inputs.sums, codes.indices, codes.weights, codebook, not build.keep, things)
 
 
 def vote_codes(
@@ -44,18 +44,18 @@ def vote_codes(
     return vote(inputs.sums, codes, codebook, build.rounds, keep), codebook
 
 
-def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> GaussianCodes:
+def without_half(codes: GaussianCodes, whole: GaussianCodes, half: Half) -> GaussianCodes:
     """Return codes without those of the Gaussians in the half with the highest (or lowest) entropy of their
     whole votes. *Choice*: halves are taken at each level, among Gaussians that have votes there."""
     entropy = vote_entropy(whole.weights)
     voted = whole.weights.any(-1)
-    kept = torch.zeros_like(voted)
+    mask = torch.zeros_like(voted)
     for level in range(voted.shape[1]):
         members = voted[:, level].nonzero()[:, 0]
         order = members[torch.argsort(entropy[members, level], stable=True)]
         middle = len(order) // 2
-        kept[order[:middle] if half == "highest" else order[middle:], level] = True
-    return replace(found, weights=torch.where(kept[..., None], found.weights, 0.0))
+        mask[order[:middle] if half == "highest" else order[middle:], level] = True
+    return replace(codes, weights=torch.where(mask[..., None], codes.weights, 0.0))
 
 
 def vote_entropy(weights: Tensor) -> Tensor:
@@ -66,5 +66,5 @@ def vote_entropy(weights: Tensor) -> Tensor:
     weights = weights.float()
     total = weights.sum(-1, keepdim=True)
     share = torch.where(total > 0, weights / total.clamp(min=1e-30), 0.0)
-    found = torch.special.entr(share).sum(-1) / torch.tensor(float(max(2, weights.shape[-1]))).log()
-    return torch.where(total[..., 0] > 0, found, 1.0)
+    entropy = torch.special.entr(share).sum(-1) / torch.tensor(float(max(2, weights.shape[-1]))).log()
+    return torch.where(total[..., 0] > 0, entropy, 1.0)

@@ -72,5 +72,5 @@ def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCo
 
 def joint_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
     """Run ``learn_joint_codes``, and return a field."""
-    found = learn_joint_codes(inputs, settings)
-    return fitted_field(inputs.sums, found.indices, found.weights, found.codebook)
+    codes = learn_joint_codes(inputs, settings)
+    return fitted_field(inputs.sums, codes.indices, codes.weights, codes.codebook)

@@ -59,11 +59,11 @@ def rendered(view: ViewWeights, channels: Tensor) -> Tensor:
 
 def _view(name: str, pairs: list[PixelWeights], labels: Tensor) -> ViewWeights:
     described = (labels >= 0).any(0).numpy()
-    place = np.cumsum(described) - 1  # of each pixel among those kept
-    kept = PixelWeights.joined([part.kept(described[part.pixel]) for part in pairs])
-    members, column = np.unique(kept.gaussian, return_inverse=True)
-    entries = (place[kept.pixel].astype(np.int32), column.astype(np.int32))
-    matrix = csr_array((kept.weight, entries), shape=(int(described.sum()), len(members)))
+    row = np.cumsum(described) - 1  # of each pixel among those kept
+    chosen = PixelWeights.joined([band.kept(described[band.pixel]) for band in pairs])
+    members, column = np.unique(chosen.gaussian, return_inverse=True)
+    entries = (row[chosen.pixel].astype(np.int32), column.astype(np.int32))
+    matrix = csr_array((chosen.weight, entries), shape=(int(described.sum()), len(members)))
     return ViewWeights(name, torch.from_numpy(members), matrix, labels[:, torch.from_numpy(described)])
 
 

@@ -32,7 +32,7 @@ def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor
     if sums.rows is None:
         raise InputError("the rows of each view are not known (RegionSums.select)")
     unit = normalise_embeddings(embeddings.cpu())
-    found = torch.zeros(sums.n_gaussians, unit.shape[1])
+    medians = torch.zeros(sums.n_gaussians, unit.shape[1])
     total = torch.zeros(sums.n_gaussians, 1)
     for view, rows in sums.rows[level].items():
         gaussian, region, weight = sums.triplets(view, level)
@@ -44,10 +44,10 @@ def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor
         towards = torch.nn.functional.normalize(torch.from_numpy(weights @ unit[rows].numpy()), dim=1)
         share = torch.from_numpy(weights.sum(1))[:, None]
         total[seen] += share
-        before = found[seen]
+        before = medians[seen]
         across = towards - (towards * before).sum(1, keepdim=True) * before
-        found[seen] = torch.nn.functional.normalize(before + share / total[seen] * across, dim=1)
-    return found
+        medians[seen] = torch.nn.functional.normalize(before + share / total[seen] * across, dim=1)
+    return medians
 
 
 def median_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:

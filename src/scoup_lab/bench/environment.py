@@ -40,7 +40,7 @@ def describe_environment() -> dict[str, Any]:
 
 
 def in_one_line(environment: dict[str, Any]) -> str:
-    """Return the same for the head of a table."""
+    """Return one line for the head of a table."""
     parts = [
         f"{environment['cpu']}, {environment['cores']} cores",
         environment["gpu"],
@@ -49,7 +49,7 @@ def in_one_line(environment: dict[str, Any]) -> str:
         environment["native_instruction_set"] and f"native core: {environment['native_instruction_set']}",
         environment["commit"] and f"commit {environment['commit']}",
     ]
-    return "; ".join(part for part in parts if part)
+    return "; ".join(text for text in parts if text)
 
 
 def _cpu_model() -> str:

@@ -157,7 +157,7 @@ class Stopwatch:
 
 
 class StageClock:
-    """A progress callback that keeps how long each stage took.
+    """A progress callback that records the seconds of each stage.
 
     A stage lasts from its first call to the one with done = total. What runs in between is kept under "start" and
     "after STAGE".

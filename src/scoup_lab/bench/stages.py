@@ -138,7 +138,7 @@ def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str | None)
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
     """Return the names of the backends, of those wanted or all that serve the device, that work on this machine, and
     why the others do not."""
-    found: list[str] = []
+    usable: list[str] = []
     reasons: dict[str, str] = {}
     all_here = [name for name in raster.BACKENDS if serves(name, torch.device(device))]
     for name in dict.fromkeys(wanted or all_here):
@@ -155,5 +155,5 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
                 raise InputError(f"backend {name!r} does not work here: {error}") from error
             reasons[name] = " ".join(str(error).split())
         else:
-            found.append(name)
-    return found, reasons
+            usable.append(name)
+    return usable, reasons

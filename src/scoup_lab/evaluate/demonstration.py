@@ -66,7 +66,7 @@ def run_demo(
     field = clock("read the files, and build the field", _built, folder, seed, progress)
     field.save(out / "demo.scoup")
     score = clock("query and score", answered, field, scene)
-    return DemoResult(scene, field, score, {stage: sum(each) for stage, each in clock.seconds.items()})
+    return DemoResult(scene, field, score, {stage: sum(times) for stage, times in clock.seconds.items()})
 
 
 def _built(folder: Path, seed: int, progress: Progress) -> LanguageField:
@@ -98,9 +98,9 @@ def answered(field: LanguageField, scene: DemoScene) -> SceneScore:
             point = torch.tensor([answer.point or (-1, -1)])
             hit = any_inside(point, frame.boxes[answer.text])
             level = field.level_index(answer.level)
-            found = iou(answer.mask, frame.masks[answer.text])
+            overlap = iou(answer.mask, frame.masks[answer.text])
             pairs.append(
-                PairScore(frame.name, answer.text, found, hit, level, answer.score or 0.0, answer.point)
+                PairScore(frame.name, answer.text, overlap, hit, level, answer.score or 0.0, answer.point)
             )
     return SceneScore("", "default", tuple(pairs))
 

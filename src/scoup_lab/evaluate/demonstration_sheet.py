@@ -54,5 +54,5 @@ def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture
         color=TRUTH_COLOR,
     )
     heat = heat_map(answer.heat, rgb, "relevancy", answer.level, answer.score)
-    found = mask_overlay(answer.mask, rgb, answer.box, answer.point, "found", f"IoU {pair.iou:.2f}")
-    return truth, heat, found
+    mask = mask_overlay(answer.mask, rgb, answer.box, answer.point, "found", f"IoU {pair.iou:.2f}")
+    return truth, heat, mask

@@ -50,17 +50,17 @@ def failure_sheet(
         frame, camera = frames[pair.frame]
         rgb = render_colors(field.gaussians, camera.resized(width, height)).cpu()
         truth = frame.resized(width, height)
-        found = segment(relevancy, rule)
+        answer = segment(relevancy, rule)
         point = localize(relevancy, rule).pixel if pair.hit is not None else None
         box = truth.boxes.get(pair.label)
         # Of several boxes none: one alone would mislead.
         corners = None if box is None or len(box) > 1 else (*box[0, :2].tolist(), *(box[0, 2:] + 1).tolist())
         name, remark = f'"{pair.label}"', f"truth, {pair.frame}"
-        level = field.levels[rows[found.level]]
+        level = field.levels[rows[answer.level]]
         tiles += [
             mask_overlay(truth.masks[pair.label], rgb, corners, None, name, remark, TRUTH_COLOR),
-            heat_map(relevancy[found.level], rgb, "relevancy", level, found.score),
-            mask_overlay(found.mask, rgb, None, point, "found", f"IoU {pair.iou:.2f}"),
+            heat_map(relevancy[answer.level], rgb, "relevancy", level, answer.score),
+            mask_overlay(answer.mask, rgb, None, point, "found", f"IoU {pair.iou:.2f}"),
         ]
     count = len({pair.label for pair in score.pairs})
     heading = f"{score.scene}: the worst {len(worst)} of {count} queries; scene mIoU {score.miou:.2f}"

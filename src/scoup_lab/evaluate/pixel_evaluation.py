@@ -68,8 +68,8 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             )
 
         def map_of(pair: PairScore) -> Tensor:
-            ((frame, found),) = predict(scene, vectors, field, [pair.frame])
-            return found[:, frame.labels.index(pair.label)]
+            ((frame, of_frame),) = predict(scene, vectors, field, [pair.frame])
+            return of_frame[:, frame.labels.index(pair.label)]
 
         sheet = failure_sheet(score, scene, field, map_of, rule)
         save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
@@ -77,14 +77,14 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
 
     def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each protocol."""
-        found = list(results.values())
+        of_scenes = list(results.values())
         shared = {**described, "build": self.build.to_dict()}
-        published, levels = self.protocol.scenes, found[0].levels
-        scores = tuple(each.score for each in found)
+        published, levels = self.protocol.scenes, of_scenes[0].levels
+        scores = tuple(result.score for result in of_scenes)
         stem = self.stems[0]
         of_frames = PixelScores(self.protocol.title, self.rules, scores, published, shared)
         reports = [of_frames.report(stem, levels)]
-        selected = tuple(each.selected for each in found if each.selected is not None)
+        selected = tuple(result.selected for result in of_scenes if result.selected is not None)
         if selected:
             note = "Another protocol than the 2D ones: never set the two side by side."
             rules = selected[0].rule

@@ -27,7 +27,7 @@ class PixelScores:
     notes: tuple[str, ...] = ()  # for below the overall table
 
     def report(self, stem: str, levels: Sequence[str] = ()) -> Report:
-        """Return tables and record; ``levels`` name those that answered."""
+        """Return tables and record; ``levels`` are the names of the levels that answered."""
         of_papers = [published_table(self)] if self.published else []
         tables = [overall_table(self), scene_table(self), *of_papers, query_table(self, levels)]
         title = f"{self.protocol}, rules of {self.system}"
@@ -52,8 +52,8 @@ def overall_table(scores: PixelScores) -> Table:
     headers = ["system", "source", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
     row = [f"{OURS} ({scores.system} rules)", "measured", *miou_interval(scores.scenes).percent()]
-    found = accuracy_interval(scores.scenes)
-    row += found.percent() if found is not None else []
+    interval = accuracy_interval(scores.scenes)
+    row += interval.percent() if interval is not None else []
     rows = [tuple(row)]
     for other in scores.published:
         cells = [other.system, "published", _figure(other.miou), "-"]
@@ -79,8 +79,8 @@ def scene_table(scores: PixelScores) -> Table:
     rows = []
     for scene in scores.scenes:
         cells = [scene.scene, str(len(scene.pairs)), *miou_interval([scene]).percent()]
-        found = accuracy_interval([scene])
-        cells += found.percent() if found is not None else []
+        interval = accuracy_interval([scene])
+        cells += interval.percent() if interval is not None else []
         rows.append(tuple(cells))
     return Table(f"{scores.protocol}: by scene", tuple(headers), tuple(rows))
 
@@ -95,8 +95,8 @@ def published_table(scores: PixelScores) -> Table:
     rows = [(OURS, "measured", *ours)]
     for other in scores.published:
         if other.by_scene:
-            found = [other.by_scene[scene.scene] for scene in scores.scenes]
-            rows.append((other.system, "published", *(_figures(each, localizes) for each in found)))
+            figures = [other.by_scene[scene.scene] for scene in scores.scenes]
+            rows.append((other.system, "published", *(_figures(figure, localizes) for figure in figures)))
     title = f"{scores.protocol}: published, by scene, mIoU" + (" / localisation" if localizes else "")
     return Table(title, ("system", "source", *(scene.scene for scene in scores.scenes)), tuple(rows))
 
@@ -143,7 +143,7 @@ def query_records(scene: SceneScore) -> list[dict[str, Any]]:
 def report_record(scores: PixelScores) -> dict[str, Any]:
     """Return everything, for JSON: scores 0..1 and not rounded, published figures apart and in percent."""
     miou, accuracy = overall(scores.scenes)
-    found = accuracy_interval(scores.scenes)
+    interval = accuracy_interval(scores.scenes)
     return {
         "protocol": scores.protocol,
         "system": scores.system,
@@ -152,7 +152,7 @@ def report_record(scores: PixelScores) -> dict[str, Any]:
             "miou": miou,
             "miou_interval": miou_interval(scores.scenes).ends,
             "accuracy": accuracy,
-            "accuracy_interval": None if found is None else found.ends,
+            "accuracy_interval": None if interval is None else interval.ends,
             "pairs": sum(len(scene.pairs) for scene in scores.scenes),
         },
         "scenes": {

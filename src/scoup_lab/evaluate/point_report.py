@@ -44,16 +44,16 @@ class PointScores:
         settings: dict[str, Any] | None = None,
     ) -> PointScores:
         """Collect what ``PointEvaluation.scene`` gave for scenes, by name; those without points are left out."""
-        found = {name: counts[classes.name] for name, counts in scenes.items() if classes.name in counts}
-        if not found:
+        matched = {name: counts[classes.name] for name, counts in scenes.items() if classes.name in counts}
+        if not matched:
             raise InputError(
                 f"none of the scenes ({listed(list(scenes))}) has points of a class of {classes.name}"
             )
-        systems = next(iter(found.values()))
-        matrices = {system: [of_scene[system] for of_scene in found.values()] for system in systems}
-        left = [name for name in scenes if name not in found]
+        systems = next(iter(matched.values()))
+        matrices = {system: [of_scene[system] for of_scene in matched.values()] for system in systems}
+        left = [name for name in scenes if name not in matched]
         notes = (f"Left out, without points of these classes: {', '.join(left)}.",) if left else ()
-        return cls(classes, tuple(found), matrices, settings or {}, notes)
+        return cls(classes, tuple(matched), matrices, settings or {}, notes)
 
     def report(self, stem: str) -> Report:
         """Return tables and record."""
@@ -84,7 +84,7 @@ def overall_table(scores: PointScores) -> Table:
     rows = []
     for system in scores.matrices:
         intervals = [scores.interval(system, score) for score in scores.scores.values()]
-        cells = [system, *(percent(each.mean) for each in intervals)]
+        cells = [system, *(percent(interval.mean) for interval in intervals)]
         cells.insert(2, intervals[0].percent()[1] if len(scores.scenes) > 1 else "-")
         rows.append(tuple(cells))
     notes = [
@@ -127,7 +127,7 @@ def class_table(scores: PointScores) -> Table:
         number = record["number"]
         cells = [record["class"], str(record["scenes"]), percent(record["share"])]
         for system in systems:
-            of_system = next(each for each in records[system] if each["number"] == number)
+            of_system = next(row for row in records[system] if row["number"] == number)
             cells += [percent(of_system["iou"]), percent(of_system["accuracy"])]
         rows.append(tuple(cells))
     notes = ["Points of all scenes together."]
@@ -161,8 +161,8 @@ def report_record(scores: PointScores) -> dict[str, Any]:
         intervals = {name: scores.interval(system, score) for name, score in scores.scores.items()}
         several = len(scores.scenes) > 1
         systems[system] = {
-            "overall": {name: number_or_none(each.mean) for name, each in intervals.items()},
-            "intervals": {name: each.ends if several else None for name, each in intervals.items()},
+            "overall": {name: number_or_none(interval.mean) for name, interval in intervals.items()},
+            "intervals": {name: interval.ends if several else None for name, interval in intervals.items()},
             "scenes": {
                 scene: {name: number_or_none(float(score(totals))) for name, score in scores.scores.items()}
                 for scene, totals in zip(scores.scenes, scores.totals(system), strict=True)

@@ -38,8 +38,8 @@ def piece_boxes(mask: Mask, least: float) -> list[Box]:
     """Return the boxes of the connected pieces of at least ``least`` pixels."""
     labels, count = components(mask)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    found = zip(ndimage.find_objects(labels), sizes, strict=True)
-    return [_box_of(box) for box, size in found if size >= least]
+    pieces = zip(ndimage.find_objects(labels), sizes, strict=True)
+    return [_box_of(box) for box, size in pieces if size >= least]
 
 
 def _box_of(box: tuple[slice, ...]) -> Box:
@@ -61,7 +61,7 @@ def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
 def _stacks(mask: Mask) -> list[list[Run]]:
     """Return the runs of a mask, cut into stacks in which each run touches only the one above and the one below."""
     stacks: list[list[Run]] = []
-    above: list[list[Run]] = []  # those that reach the row before
+    above: list[list[Run]] = []  # stacks that reach the row before
     for row, pixels in enumerate(mask):
         ends = np.flatnonzero(np.diff(pixels, prepend=False, append=False)).tolist()
         runs = [(row, first, after - 1) for first, after in zip(ends[::2], ends[1::2], strict=True)]
@@ -96,13 +96,13 @@ def _rim(runs: list[Run]) -> Polygon:
 
 
 def _straightened(corners: Polygon) -> Polygon:
-    """Return corners of upright and level edges without those that a straight run goes through."""
+    """Return corners of upright and level edges without collinear ones."""
     turns = [
         corner for corner, before in zip(corners, [corners[-1], *corners], strict=False) if corner != before
     ]
-    kept = []
+    turned = []
     for number, (x, y) in enumerate(turns):
         (px, py), (nx, ny) = turns[number - 1], turns[(number + 1) % len(turns)]
         if (x - px) * (nx - x) + (y - py) * (ny - y) <= 0:
-            kept.append((x, y))
-    return kept or corners[:1]
+            turned.append((x, y))
+    return turned or corners[:1]

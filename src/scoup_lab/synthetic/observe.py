@@ -137,14 +137,14 @@ def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
 def _pieces(truth: IntMap, smallest: float) -> list[tuple[tuple[slice, ...], Mask]]:
     """Return the connected pieces of each name that have at least ``smallest`` pixels: window and mask in
     the window."""
-    found = []
+    pieces = []
     for name, box in enumerate(ndimage.find_objects(truth + 1)):
         if box is None:
             continue
         numbers, count = components(truth[box] == name)
         sizes = np.bincount(numbers.ravel(), minlength=count + 1)
-        found += [(box, numbers == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
-    return found
+        pieces += [(box, numbers == piece) for piece in range(1, count + 1) if sizes[piece] >= smallest]
+    return pieces
 
 
 def _padded(side: slice, margin: int) -> slice:
@@ -164,8 +164,8 @@ def _resize(labels: IntMap, mask: Mask, number: int, scale: float, rng: np.rando
 def _renumbered(labels: IntMap) -> IntMap:
     """Return regions numbered from 0 without gaps; remains of a few pixels become no region."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
-    kept = sizes >= LEAST_KEPT
-    numbers = np.where(kept, np.cumsum(kept) - 1, -1)
+    large = sizes >= LEAST_KEPT
+    numbers = np.where(large, np.cumsum(large) - 1, -1)
     return np.where(labels >= 0, numbers[labels], -1).astype(np.int32)
 
 
@@ -216,8 +216,8 @@ def embed_regions(
 
 def _share(numbers: IntMap, count: int) -> Floats:
     """Return [count] share of each name among ``numbers``; all zero where there is none."""
-    found = np.bincount(numbers[numbers >= 0], minlength=count).astype(float)
-    return found / max(found.sum(), 1.0)
+    counts = np.bincount(numbers[numbers >= 0], minlength=count).astype(float)
+    return counts / max(counts.sum(), 1.0)
 
 
 def noise(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Floats:

@@ -60,9 +60,9 @@ def _vectors(scene: DemoScene) -> dict[str, np.ndarray]:
     random = np.random.default_rng(len(NYU40)).normal(size=(len(NYU40), len(mean)))
     concepts = unit(random - (random @ mean)[:, None] * mean)
     absent = unit(TEXT_MEAN * mean + np.sqrt(1 - TEXT_MEAN**2) * concepts)
-    found = dict(zip(NYU40, absent, strict=True))
+    vectors = dict(zip(NYU40, absent, strict=True))
     shown = list(zip(_classes(scene), scene.parts.objects, strict=True))
     for name, thing in reversed(shown):  # the first thing of a class has the last word
-        if name in found:
-            found[name] = scene.words.vector(thing)
-    return found
+        if name in vectors:
+            vectors[name] = scene.words.vector(thing)
+    return vectors

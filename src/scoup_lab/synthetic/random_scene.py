@@ -78,7 +78,7 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
 
     order = rng.permutation(n_gaussians)
     parts = (means, quats, scales, opacities, ((paint - 0.5) / SH_C0)[:, None])
-    return Gaussians(*(torch.from_numpy(part[order].astype(np.float32)) for part in parts))
+    return Gaussians(*(torch.from_numpy(values[order].astype(np.float32)) for values in parts))
 
 
 def _surfaces(rng: np.random.Generator) -> tuple[Array, Array, Array]:

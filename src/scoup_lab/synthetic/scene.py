@@ -93,10 +93,10 @@ class DemoScene:
             box = mask_box(mask)
             if box is not None and int(mask.sum()) >= least:
                 masks[name] = mask
-                found = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
+                corners = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
                 # Corners of a label's box are pixels inside it.
-                found = found or [(box[0], box[1], box[2] - 1, box[3] - 1)]
-                boxes[name] = torch.tensor(found, dtype=torch.float32)
+                corners = corners or [(box[0], box[1], box[2] - 1, box[3] - 1)]
+                boxes[name] = torch.tensor(corners, dtype=torch.float32)
         return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, masks, boxes)
 
 
@@ -150,7 +150,7 @@ def make_demo_scene(
 
 
 def with_texts(scene: DemoScene, vectors: Mapping[str, np.ndarray]) -> DemoScene:
-    """Return the scene with more words; those that it has already keep their vectors."""
+    """Return the scene with more words; existing words keep their vectors."""
     words = scene.words
     new = {text: vector for text, vector in vectors.items() if text not in words.texts}
     texts, rows = (*words.texts, *new), np.concatenate([words.vectors, np.stack(list(new.values()))])

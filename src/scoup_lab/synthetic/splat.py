@@ -178,7 +178,7 @@ def evenly(mesh: Mesh, count: int, spacing: float, rng: np.random.Generator) -> 
     points, normals = points[shuffled], normals[shuffled]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     for distance in DISTANCES:
-        # What was apart so far stays: the order decides, and those are now first.
+        # Points that were apart so far stay: the order decides, and they are now first.
         apart = _thinned(points, distance * spacing)
         order = np.concatenate([np.flatnonzero(apart), np.flatnonzero(~apart)])
         points, normals = points[order], normals[order]
@@ -191,17 +191,17 @@ def _thinned(points: Floats, radius: float) -> np.ndarray:
     """Return boolean [n]: the points kept when each, in order, is dropped if one kept before lies within ``radius``."""
     pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     first, second = pairs.min(1), pairs.max(1)
-    kept, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
+    chosen, undecided = np.zeros(len(points), bool), np.ones(len(points), bool)
     while undecided.any():
         blocked = np.zeros(len(points), bool)
         blocked[second] = True
         fresh = undecided & ~blocked
-        kept |= fresh
+        chosen |= fresh
         undecided &= ~fresh
-        undecided[second[kept[first]]] = False
+        undecided[second[chosen[first]]] = False
         open_pairs = undecided[first] & undecided[second]
         first, second = first[open_pairs], second[open_pairs]
-    return kept
+    return chosen
 
 
 def _rim(points: Floats, normals: Floats, spacing: float) -> Floats:

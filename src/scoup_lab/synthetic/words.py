@@ -88,7 +88,7 @@ def make_words(parts: Parts, rng: np.random.Generator) -> Words:
 
 
 def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
-    """Return [names, names] how much of each name's own random direction goes into a name's concept."""
+    """Return [names, names], the share of each name's own random direction in a name's concept."""
     kin = np.eye(len(names))
     for part, owner in zip(parts.parts, parts.object_of_part, strict=True):
         if part != parts.objects[owner]:
@@ -106,10 +106,10 @@ def _kinship(parts: Parts, names: tuple[str, ...]) -> Floats:
 def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Generator) -> Floats:
     """Move prototypes [n, D] along text vectors [words, D], names first, until each name is nearest to its own."""
     count = len(prototypes)
-    own = rng.uniform(*OWN_COSINE, count)
+    cosines = rng.uniform(*OWN_COSINE, count)
     related = (kin > 0) | (kin.T > 0) | (kin @ kin.T > 0)
     limit = np.full((count, len(vectors)), np.inf)
-    limit[:, :count] = np.where(related, own - RELATED_MARGIN, own - MARGIN)
+    limit[:, :count] = np.where(related, cosines - RELATED_MARGIN, cosines - MARGIN)
     canonical = rng.normal(CANONICAL_COSINE, CANONICAL_SPREAD, (count, len(CANONICAL)))
     diagonal = np.arange(count)
     concepts = unit(vectors - vectors.mean(0))
@@ -119,7 +119,7 @@ def _named(prototypes: Floats, vectors: Floats, kin: Floats, rng: np.random.Gene
         step = -excess.clip(0)
         # The phrases are so similar that steps towards each of them add up.
         step[:, -len(CANONICAL) :] = 0.25 * (canonical - prototypes @ vectors[-len(CANONICAL) :].T)
-        step[diagonal, diagonal] = own - np.einsum("nd,nd->n", prototypes, vectors[:count])
+        step[diagonal, diagonal] = cosines - np.einsum("nd,nd->n", prototypes, vectors[:count])
         prototypes = unit(prototypes + 0.5 * (step / slope) @ concepts)
     return prototypes
 

@@ -33,9 +33,9 @@ from scoup.scene import Camera, Gaussians
 # known to fit; "tf32x3" does the same with tf32; "ieee" is plain float32.
 Precision = Literal["fp16x3", "tf32x3", "ieee"]
 
-# Products may be added unrounded: which Triton lets them by default depends on its version.
+# Fused multiply-add; the default depends on the version of Triton.
 FUSED: dict[str, Any] = {"enable_fp_fusion": True}
-# Edge of a tile in pixels. Half as many lanes are evaluated in vain as with 16, for twice as many pairs to sort.
+# Edge of a tile in pixels. With 16, twice as many lanes are wasted, for half as many pairs to sort.
 TILE = 8
 MOST_PAIRS = 2**31 - 1
 _BLOCK = 128
@@ -91,8 +91,8 @@ def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Trito
     with torch.cuda.device_of(gaussians.means):
         table = camera_table(camera, preset, device)
         scene = [
-            part.contiguous()
-            for part in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
+            tensor.contiguous()
+            for tensor in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities)
         ]
         means, _, scales, opacities = scene
         count = len(gaussians)
@@ -180,6 +180,6 @@ def camera_table(camera: Camera, preset: RasterPreset, device: torch.device) -> 
         math.log2(math.e),
     ]
     assert len(numbers) == TABLE
-    # Pinned memory is copied without waiting for what the GPU still works on.
+    # A copy from pinned memory does not wait for running kernels.
     table = torch.tensor(numbers, dtype=torch.float64, pin_memory=device.type == "cuda")
     return table.to(device, non_blocking=True)

@@ -48,14 +48,14 @@ def region_sums(
     # A pixel has weights of 1 at the most, and they are known to 2^-40 (``halves_of_weights``).
     scale = 2.0 ** min(40, 62 - combinations.numel().bit_length())
     ends = torch.cumsum(columns.room, 0)
-    found = [
+    entries = [
         _entries_of(projection, columns, ends, n_combinations, scale, lot, dtype)
         for lot in lots(ends, int(ends[-1]))
     ]
-    if not any(len(keys) for keys, _ in found):
+    if not any(len(keys) for keys, _ in entries):
         none = torch.zeros(0, dtype=torch.int32, device=projection.device)
         return none, none, none.float()
-    keys, weights = (torch.cat(parts) for parts in zip(*found, strict=True))
+    keys, weights = (torch.cat(parts) for parts in zip(*entries, strict=True))
     return _merge(keys, weights, n_combinations, scale)
 
 
@@ -115,7 +115,7 @@ def _entries_of(
     """Return keys and weights of the entries of a lot, tile after tile."""
     device, grid, preset = projection.device, (len(lot.tiles),), projection.preset
     types = dtype, torch.int64
-    roomy = [torch.empty(lot.room, dtype=each, device=device) for each in types]
+    roomy = [torch.empty(lot.room, dtype=kind, device=device) for kind in types]
     counts = torch.empty(len(lot.tiles), dtype=torch.int32, device=device)
     region_sums_kernel[grid](
         projection.records, projection.numbers, projection.starts, columns.of_pixel, columns.combinations,
@@ -125,7 +125,7 @@ def _entries_of(
     )  # fmt: skip
     entries_end = torch.cumsum(counts, 0)
     count = int(entries_end[-1])
-    close = [torch.empty(count, dtype=each, device=device) for each in types]
+    close = [torch.empty(count, dtype=kind, device=device) for kind in types]
     gather_kernel[grid](
         *roomy, projection.starts, columns.counts, ends, entries_end, counts, *close, lot.tiles.start, lot.before,
         BLOCK=_BLOCK, **FUSED,
@@ -139,9 +139,9 @@ def _merge(keys: Tensor, weights: Tensor, n_combinations: int, scale: float) -> 
     Sums of whole numbers are the same in any order.
     """
     keys, order = torch.sort(keys)
-    keys, place = torch.unique_consecutive(keys, return_inverse=True)
+    keys, inverse = torch.unique_consecutive(keys, return_inverse=True)
     totals = torch.zeros(len(keys), dtype=torch.int64, device=keys.device).index_add_(
-        0, place, weights[order]
+        0, inverse, weights[order]
     )
     numbers = torch.empty(2, len(keys), dtype=torch.int32, device=keys.device)
     out = torch.empty(len(keys), device=keys.device)

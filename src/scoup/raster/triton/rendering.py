@@ -28,13 +28,13 @@ from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
 from scoup.scene import float32_products
 
-PREPARES = False  # rows in another order have not been seen to pay here
+PREPARES = False  # reordering showed no benefit
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
 MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "ieee": 64}
-# Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
-# that two products are added to in two ways, and moves them in between.
+# Of a program that renders codes. Hopper's matrix products use four warps; with eight, Triton gives a sum of two
+# products two layouts and converts between them.
 WARPS = 4
-# Columns that coefficients are multiplied with at a time. With 16, ptxas 12.8 (Triton 3.4 to 3.6) reads a descriptor of
+# Columns per product with the coefficients. With 16, ptxas 12.8 (Triton 3.4 to 3.6) reads a descriptor of
 # a matrix product from a register that it has not written; twice as many of 256 rows exceed 99 KB.
 COLUMNS = 32
 _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
@@ -153,13 +153,13 @@ def render_cosines_and_norms(
     # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
     shape = (levels, count + 1, projection.height, projection.width)
-    found = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
+    products = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
     device = projection.device
     counting = indices.to(device).long() < codebook.shape[1]
     of_codes = (weights.to(device).float() * counting).sum(-1)
     sums = render_channels(projection, of_codes)[0].permute(2, 0, 1)  # [S, H, W]
-    shares = found[:, count]
-    return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
+    shares = products[:, count]
+    return products[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
 
 
 def render_features(
@@ -233,11 +233,11 @@ def _products_by_level(
         chosen = slice(level, level + 1)
         codes = render_codes(projection, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
         for row, line in enumerate(codes):  # [W, L]
-            found = cosines_and_norms(line, table[level], grams[level])[0]
+            cosines = cosines_and_norms(line, table[level], grams[level])[0]
             if pixels_last:
-                out[level, :, row] = found.T
+                out[level, :, row] = cosines.T
             else:
-                out[level, row] = found
+                out[level, row] = cosines
     return out
 
 
@@ -277,12 +277,10 @@ def _bounds(projection: TritonProjection) -> tuple[float, float]:
 
 
 def _constants(projection: TritonProjection) -> dict[str, object]:
-    """Return the constants of every kernel."""
     return {**FUSED, "STOP_INCLUSIVE": projection.preset.stop_inclusive, "TILE": TILE}
 
 
 def _of_codes(codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
-    """Return the constants of a kernel that renders codes."""
     return {
         "CHUNK": blocks.chunk,
         "LEVELS": min(blocks.levels, levels_left),

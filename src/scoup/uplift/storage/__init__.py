@@ -1,1 +1,1 @@
-"""How region sums are kept: seven bytes per entry, in memory or in a folder with one file per view."""
+"""Storage of region sums: seven bytes per entry, in memory or in a folder with one file per view."""

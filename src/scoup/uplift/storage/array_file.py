@@ -88,14 +88,14 @@ def write_arrays(
     head = json.dumps({"__metadata__": {_KEY: text}, **layout}).encode()
     head += b" " * (-len(head) % 8)
     checksum = zlib.crc32(head)
-    for part in parts:
-        checksum = zlib.crc32(part, checksum)
+    for chunk in parts:
+        checksum = zlib.crc32(chunk, checksum)
     # Not flushed one by one: the folder is (``RegionSums.flush``), and checksums detect the rest.
     with atomic_file(path, overwrite, flush=False, wait=wait) as stream:
         stream.write(len(head).to_bytes(8, "little"))
         stream.write(with_checksum(head, f"{checksum:08x}"))
-        for part in parts:
-            stream.write(part)
+        for chunk in parts:
+            stream.write(chunk)
     return 8 + len(head) + end
 
 
@@ -105,14 +105,14 @@ def read_arrays(path: Path, written: bool = False) -> StoredArrays:
     data = _mapped(path)
     length = int.from_bytes(data[:8].tobytes(), "little")
     head = data[8 : 8 + length].tobytes() if length < len(data) else b""
-    found = _CHECKSUM.search(head)
-    if found is None:
+    match = _CHECKSUM.search(head)
+    if match is None:
         refuse_pointer(path)
         raise FileFormatError(path, "is not a file of region sums", "check the path")
     checksum = zlib.crc32(with_checksum(head, NO_CHECKSUM))
     for first in range(8 + length, 0 if written else len(data), _AT_A_TIME):
         checksum = zlib.crc32(data[first : first + _AT_A_TIME].data, checksum)
-    if not written and f"{checksum:08x}".encode() != found[1]:
+    if not written and f"{checksum:08x}".encode() != match[1]:
         raise FileFormatError(path, "is damaged (checksum)", _REMEDY)
     try:
         layout = json.loads(head)

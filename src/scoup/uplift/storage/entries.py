@@ -85,7 +85,7 @@ class Entries:
         )
 
     def find_buckets(self, first: int, last: int) -> tuple[int, int]:
-        """Return where in ``buckets`` those of first to last - 1 begin and end."""
+        """Return the range in ``buckets`` of first to last - 1."""
         low, high = np.searchsorted(self.buckets, [first, last])
         return int(low), int(high)
 
@@ -121,7 +121,7 @@ class ViewRecord:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays of all parts, as ``from_arrays`` takes them."""
         return {
-            f"{name}.{i}": array for i, part in enumerate(self.parts) for name, array in part.arrays().items()
+            f"{name}.{i}": array for i, item in enumerate(self.parts) for name, array in item.arrays().items()
         }
 
 
@@ -134,21 +134,21 @@ def pack(
     """Pack entries in parts of at most ``MOST_COMBINATIONS``; a view without label tuples has one empty part."""
     parts = []
     for first in range(0, max(1, len(table)), MOST_COMBINATIONS):
-        mine: Any = slice(None)
+        chosen: Any = slice(None)
         if len(table) > MOST_COMBINATIONS:
-            mine = np.flatnonzero((combinations >= first) & (combinations < first + MOST_COMBINATIONS))
-        own = gaussians[mine]
-        bucket = own >> BUCKET_BITS
+            chosen = np.flatnonzero((combinations >= first) & (combinations < first + MOST_COMBINATIONS))
+        members = gaussians[chosen]
+        bucket = members >> BUCKET_BITS
         begins = np.flatnonzero(bucket[1:] != bucket[:-1]) + 1
-        if len(own):
+        if len(members):
             begins = np.insert(begins, 0, 0)
         parts.append(
             Entries(
                 bucket[begins].astype(np.uint32),
-                np.append(begins, len(own)).astype(np.uint32),
-                own.astype(np.uint8),  # wraps around: what is left is counted from the bucket
-                (combinations[mine] - first).astype(np.uint16),
-                weights[mine].astype(np.float32, copy=False),
+                np.append(begins, len(members)).astype(np.uint32),
+                members.astype(np.uint8),  # wraps around: what is left is counted from the bucket
+                (combinations[chosen] - first).astype(np.uint16),
+                weights[chosen].astype(np.float32, copy=False),
                 table[first : first + MOST_COMBINATIONS],
             )
         )
@@ -172,5 +172,5 @@ class Packer:
             row = gaussian.long() if order is None else order.to(device)[gaussian.long()]
             gaussian, by_place = torch.sort(self._place_of[device][row], stable=True)
             combination, weight = combination[by_place], weight[by_place]
-        parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
+        parts = [tensor.cpu().numpy() for tensor in (gaussian, combination, weight, sums.table)]
         return pack(parts[0], parts[1], parts[2], parts[3])

@@ -19,14 +19,14 @@ def triplets_of(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
     """See ``RegionSums.triplets``; ``order`` [N] is the row in the scene of each Gaussian."""
     gaussians, regions, weights = [], [], []
-    for part in view.parts:
-        part.check_numbers(len(order))
-        region = part.table[:, level][part.combinations].astype(np.int64)
+    for entries in view.parts:
+        entries.check_numbers(len(order))
+        region = entries.table[:, level][entries.combinations].astype(np.int64)
         there = region >= 0
-        gaussians.append(order[part.gaussians()[there]])
+        gaussians.append(order[entries.gaussians()[there]])
         regions.append(region[there])
         with np.errstate(all="ignore"):  # a damaged weight may be NaN
-            weights.append(part.weights[there].astype(np.float64))
+            weights.append(entries.weights[there].astype(np.float64))
     gaussian, region, weight = map(np.concatenate, (gaussians, regions, weights))
     stride = int(region.max(initial=0)) + 1
     keys, inverse = np.unique(gaussian * stride + region, return_inverse=True)
@@ -46,5 +46,5 @@ def csr_matrix(
         gaussian, region, weight = triplets_of(view, order, level)
         parts.append((gaussian.astype(np.int32), (region + rows[name].start).astype(np.int32), weight))
     gaussians, regions, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    shape = len(order), max((part.stop for part in rows.values()), default=0)
+    shape = len(order), max((span.stop for span in rows.values()), default=0)
     return coo_array((weights, (gaussians, regions)), shape).tocsr()

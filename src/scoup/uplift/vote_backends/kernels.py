@@ -41,11 +41,11 @@ def vote_kernel(
 ):
     """Add up ENTRIES at a time. The earlier round is not read where EARLIER_K is 0; KEEP of 0 stores all sums."""
     gaussian, level = tl.program_id(0), tl.program_id(1)
-    own = gaussian.to(tl.int64) * n_levels + level
+    pair = gaussian.to(tl.int64) * n_levels + level
     atom = tl.arange(0, ATOMS)
     if EARLIER_K > 0:
         products, total = products_with_earlier(
-            own, level, atom, grams, earlier_atoms, earlier_weights, n_atoms, EARLIER_K, ATOMS
+            pair, level, atom, grams, earlier_atoms, earlier_weights, n_atoms, EARLIER_K, ATOMS
         )
         strictness = tl.load(sharpness + level)
     sums = tl.zeros([ATOMS], tl.float32)
@@ -66,18 +66,18 @@ def vote_kernel(
         sums += tl.sum(codes * share[:, None], axis=0)
         first += ENTRIES
     if KEEP == 0:
-        tl.store(out + own * n_atoms + atom, sums, mask=atom < n_atoms)
+        tl.store(out + pair * n_atoms + atom, sums, mask=atom < n_atoms)
     for slot in range(KEEP):
         largest = tl.max(sums, axis=0)
         best = tl.min(tl.where(sums == largest, atom, ATOMS), axis=0)  # of equal ones the first
-        tl.store(out + own * KEEP + slot, tl.maximum(largest, 0.0))
-        tl.store(kept + own * KEEP + slot, tl.where(largest > 0, best, 0))
+        tl.store(out + pair * KEEP + slot, tl.maximum(largest, 0.0))
+        tl.store(kept + pair * KEEP + slot, tl.where(largest > 0, best, 0))
         sums = tl.where(atom == best, -1.0, sums)
 
 
 @triton.jit
 def products_with_earlier(
-    own,
+    pair,
     level,
     atom,  # [ATOMS]
     grams,
@@ -92,8 +92,8 @@ def products_with_earlier(
     total = 0.0
     gram = grams + level.to(tl.int64) * n_atoms * n_atoms
     for slot in range(EARLIER_K):
-        weight = tl.load(earlier_weights + own * EARLIER_K + slot)
-        earlier = tl.load(earlier_atoms + own * EARLIER_K + slot).to(tl.int64)
+        weight = tl.load(earlier_weights + pair * EARLIER_K + slot)
+        earlier = tl.load(earlier_atoms + pair * EARLIER_K + slot).to(tl.int64)
         products += weight * tl.load(gram + earlier * n_atoms + atom, mask=atom < n_atoms, other=0.0)
         total += weight
     return products, total
@@ -110,9 +110,9 @@ def dense_codes(
     ENTRIES: tl.constexpr,
 ):
     """Return [ENTRIES, ATOMS] codes of regions."""
-    found = tl.zeros([ENTRIES, ATOMS], tl.float32)
+    dense = tl.zeros([ENTRIES, ATOMS], tl.float32)
     for slot in range(K):
         index = tl.load(atoms + row * K + slot, mask=row >= 0, other=0)
         weight = tl.load(weights + row * K + slot, mask=row >= 0, other=0.0)
-        found += tl.where(index[:, None] == atom[None, :], weight[:, None], 0.0)
-    return found
+        dense += tl.where(index[:, None] == atom[None, :], weight[:, None], 0.0)
+    return dense

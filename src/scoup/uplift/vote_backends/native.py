@@ -31,11 +31,11 @@ class Vote:
         self._shape = n_gaussians, len(codes), codes[0].n_atoms
         arrays = []
         for view in views:
-            part = view.entries
+            sums = view.entries
             arrays.append(
-                (part.buckets, part.starts, part.places, part.combinations, part.weights, view.regions)
+                (sums.buckets, sums.starts, sums.places, sums.combinations, sums.weights, view.regions)
             )
-        tables = [tuple(_array(part) for part in (level.indices, level.weights)) for level in codes]
+        tables = [tuple(_array(tensor) for tensor in (level.indices, level.weights)) for level in codes]
         with refusals():
             self._vote = require_core().Vote(n_gaussians, _array(grams), arrays, tables)
 
@@ -59,12 +59,12 @@ class Vote:
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         threads = torch.get_num_threads()
         with refusals():
-            found = self._vote.deviations(_arrays(earlier), buckets.start, buckets.stop, threads)
-        return [torch.from_numpy(of_level) for of_level in found]
+            deviations = self._vote.deviations(_arrays(earlier), buckets.start, buckets.stop, threads)
+        return [torch.from_numpy(of_level) for of_level in deviations]
 
 
 def _arrays(earlier: EarlierRound) -> tuple[np.ndarray, ...]:
-    return tuple(_array(part) for part in (earlier.indices, earlier.weights, earlier.sharpness))
+    return tuple(_array(tensor) for tensor in (earlier.indices, earlier.weights, earlier.sharpness))
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -56,11 +56,11 @@ class Vote:
         Returns:
             indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32.
         """
-        found = []
+        results = []
         for some in self.chunks(buckets, keep):
             indices, weights = self.largest(earlier, some, keep)
-            found.append((signed(indices), self._unit(indices, weights) if unit_norm else weights))
-        indices, weights = (torch.cat(parts) for parts in zip(*found, strict=True))
+            results.append((signed(indices), self._unit(indices, weights) if unit_norm else weights))
+        indices, weights = (torch.cat(parts) for parts in zip(*results, strict=True))
         return indices.view(index_dtype(self._codes[0].n_atoms)), weights
 
     def largest(self, earlier: EarlierRound | None, buckets: range, keep: int) -> tuple[Tensor, Tensor]:
@@ -80,12 +80,12 @@ class Vote:
             gaussian, regions, weight = self._entries(view, buckets)
             for level, codes in enumerate(self._codes):
                 there = regions[:, level] >= 0
-                row, place, share = regions[there, level], gaussian[there], weight[there]
+                row, offset, share = regions[there, level], gaussian[there], weight[there]
                 if earlier is not None:
-                    cosines = self._cosines(earlier, level, first + place, row)
+                    cosines = self._cosines(earlier, level, first + offset, row)
                     factor = torch.exp(earlier.sharpness[level] * (cosines - 1).clamp(max=0))
                     share = share * factor.clamp(min=constants.LEAST_FACTOR)
-                target = place[:, None] * n_atoms + codes.indices.long()[row]
+                target = offset[:, None] * n_atoms + codes.indices.long()[row]
                 sums[:, level] += (
                     torch.zeros(count * n_atoms, device=self._device)
                     .scatter_add_(0, target.flatten(), (share[:, None] * codes.weights[row]).flatten())
@@ -95,7 +95,7 @@ class Vote:
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         """Return, per level, 1 - cosine of each region and each Gaussian of some buckets that meet in a view."""
-        found = []
+        deviations = []
         for level, codes in enumerate(self._codes):
             pairs = [torch.zeros(0, dtype=torch.int64, device=self._device)]
             for view in self._views:
@@ -106,8 +106,8 @@ class Vote:
             gaussian = torch.div(pair, max(1, len(codes)), rounding_mode="floor")
             row = pair - gaussian * len(codes)
             cosines = self._cosines(earlier, level, buckets.start * BUCKET + gaussian, row)
-            found.append((1 - cosines).cpu())
-        return found
+            deviations.append((1 - cosines).cpu())
+        return deviations
 
     def chunks(self, buckets: range, keep: int) -> Iterator[range]:
         """Yield the buckets whose sums are in memory at a time, for the ``keep`` largest; one empty range for none."""
@@ -121,11 +121,11 @@ class Vote:
 
     def _entries(self, view: CodedEntries, buckets: range) -> tuple[Tensor, Tensor, Tensor]:
         """Return places [E] from the first bucket's start, rows of the regions [E, S] and weights [E]."""
-        part = view.entries.select_buckets(buckets.start, buckets.stop)
+        entries = view.entries.select_buckets(buckets.start, buckets.stop)
         parts = (
-            part.gaussians() - buckets.start * BUCKET,
-            view.regions[part.combinations],
-            part.weights,
+            entries.gaussians() - buckets.start * BUCKET,
+            view.regions[entries.combinations],
+            entries.weights,
         )
         gaussian, regions, weight = (torch.from_numpy(array).to(self._device) for array in parts)
         return gaussian, regions, weight
@@ -133,11 +133,11 @@ class Vote:
     def _cosines(self, earlier: EarlierRound, level: int, gaussian: Tensor, row: Tensor) -> Tensor:
         """Return [T] cosines of decoded codes of Gaussians and regions; 1 where the Gaussian has no code."""
         gram, codes = self._grams[level], self._codes[level]
-        own = earlier.indices[:, level].to(self._device).long()[gaussian]  # [T, K]
+        own_atoms = earlier.indices[:, level].to(self._device).long()[gaussian]  # [T, K]
         own_weights = earlier.weights[:, level].to(self._device)[gaussian]
         atoms, weights = codes.indices.long()[row], codes.weights[row]
         norms = (weights[:, :, None] * weights[:, None] * gram[atoms[:, :, None], atoms[:, None]]).sum((1, 2))
-        products = own_weights[:, :, None] * weights[:, None] * gram[own[:, :, None], atoms[:, None]]
+        products = own_weights[:, :, None] * weights[:, None] * gram[own_atoms[:, :, None], atoms[:, None]]
         norms = norms.clamp(min=0).sqrt()
         cosines = torch.where(norms > 0, products.sum((1, 2)) / norms.clamp(min=1e-12), 0.0)
         return torch.where(own_weights.sum(1) > 0, cosines, 1.0)

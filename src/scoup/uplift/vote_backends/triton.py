@@ -96,28 +96,28 @@ class Vote(reference.Vote):
             earlier_k, nothing = 0, self._weights[:0]
             known = (nothing, nothing, nothing)
         else:
-            mine = slice(first, first + count)
+            rows = slice(first, first + count)
             earlier_k = earlier.indices.shape[2]
-            atoms = rows_of(earlier.indices, mine).to(self._device).int()
-            weights = earlier.weights[mine].to(self._device)
+            atoms = rows_of(earlier.indices, rows).to(self._device).int()
+            weights = earlier.weights[rows].to(self._device)
             known = (atoms.contiguous(), weights.contiguous(), earlier.sharpness.to(self._device))
         out = torch.empty(count, levels, keep or n_atoms, device=self._device)
-        kept = torch.empty(count, levels, keep, dtype=torch.int32, device=self._device)
+        top_atoms = torch.empty(count, levels, keep, dtype=torch.int32, device=self._device)
         if out.numel():
             with torch.cuda.device_of(out):
                 vote_kernel[(count, levels)](
                     entries.starts, entries.combinations, entries.weights, self._rows, self._atoms, self._weights,
-                    self._inverse_norms, self._grams, *known, out, kept, levels, n_atoms, K=self._atoms.shape[1],
+                    self._inverse_norms, self._grams, *known, out, top_atoms, levels, n_atoms, K=self._atoms.shape[1],
                     EARLIER_K=earlier_k, KEEP=keep, **blocks(n_atoms),
                 )  # fmt: skip
-        return out, kept
+        return out, top_atoms
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         there = EarlierRound(
             earlier.indices.to(self._device), earlier.weights.to(self._device), earlier.sharpness
         )
-        found = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets, 1)]
-        return [torch.cat(of_level) for of_level in zip(*found, strict=True)]
+        deviations = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets, 1)]
+        return [torch.cat(of_level) for of_level in zip(*deviations, strict=True)]
 
     def chunks(self, buckets: range, keep: int) -> Iterator[range]:
         """Yield as many buckets at a time as the bounds above allow, one at least."""
@@ -162,36 +162,35 @@ class Vote(reference.Vote):
         return known
 
     def _sorted(self, buckets: range) -> SortedEntries:
-        """Return the entries of some buckets, on the device."""
         n_buckets, device = len(buckets), self._device
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
         groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float32)]
         for number, view in enumerate(self._views):
-            part = view.entries
-            low, high = part.find_buckets(buckets.start, buckets.stop)
-            starts = part.starts[low : high + 1].astype(np.int64)
-            mine = slice(int(starts[0]), int(starts[-1]))
-            groups.append(number * n_buckets + part.buckets[low:high].astype(np.int64) - buckets.start)
+            entries = view.entries
+            low, high = entries.find_buckets(buckets.start, buckets.stop)
+            starts = entries.starts[low : high + 1].astype(np.int64)
+            span = slice(int(starts[0]), int(starts[-1]))
+            groups.append(number * n_buckets + entries.buckets[low:high].astype(np.int64) - buckets.start)
             lengths.append(np.diff(starts))
             # int16 for uint16: torch supports few operations on uint16.
-            own = part.places[mine], part.combinations[mine].view(np.int16), part.weights[mine]
-            for array, slice_of_view in zip(arrays, own, strict=True):
+            slices = entries.places[span], entries.combinations[span].view(np.int16), entries.weights[span]
+            for array, slice_of_view in zip(arrays, slices, strict=True):
                 array.append(slice_of_view)
         places, combinations, weights = (
             torch.from_numpy(np.concatenate(array)).to(device) for array in arrays
         )
         # Per entry: the number of its view times n_buckets, plus its bucket.
-        found, repeats = (torch.from_numpy(np.concatenate(of)).to(device) for of in (groups, lengths))
-        group = torch.repeat_interleave(found, repeats, output_size=len(places))
+        distinct, repeats = (torch.from_numpy(np.concatenate(of)).to(device) for of in (groups, lengths))
+        group = torch.repeat_interleave(distinct, repeats, output_size=len(places))
         number = torch.div(group, n_buckets, rounding_mode="floor")
         firsts = torch.from_numpy(self._first_combinations).to(device)
         combination = (combinations.int() & 0xFFFF) + firsts[number]
-        place = ((group - number * n_buckets) * BUCKET + places).int()
-        if bool(((combination >= firsts[number + 1]) | (place >= count)).any()):
+        gaussian = ((group - number * n_buckets) * BUCKET + places).int()
+        if bool(((combination >= firsts[number + 1]) | (gaussian >= count)).any()):
             raise InputError("the region sums are damaged: an entry of a missing Gaussian or label tuple")
-        place, order = torch.sort(place, stable=True)
-        starts = torch.searchsorted(place, torch.arange(count + 1, dtype=torch.int32, device=device))
+        gaussian, order = torch.sort(gaussian, stable=True)
+        starts = torch.searchsorted(gaussian, torch.arange(count + 1, dtype=torch.int32, device=device))
         return SortedEntries(starts, combination[order].int(), weights.float()[order])
 
 
@@ -205,17 +204,17 @@ def blocks(n_atoms: int) -> dict[str, int]:
     }
 
 
-def add_counts(part: Entries, counts: np.ndarray) -> None:
+def add_counts(entries: Entries, counts: np.ndarray) -> None:
     """Add the entries of each bucket to ``counts`` [B] int64; an InputError if buckets have gaps."""
-    own = np.diff(part.starts.astype(np.int64))
+    lengths = np.diff(entries.starts.astype(np.int64))
     if (
-        (np.diff(part.buckets.astype(np.int64), append=len(counts)) <= 0).any()
-        or part.starts[0] != 0
-        or part.starts[-1] != len(part.places)
-        or (own < 0).any()
+        (np.diff(entries.buckets.astype(np.int64), append=len(counts)) <= 0).any()
+        or entries.starts[0] != 0
+        or entries.starts[-1] != len(entries.places)
+        or (lengths < 0).any()
     ):
         raise InputError("the region sums are damaged: buckets have gaps")
-    counts[part.buckets] += own
+    counts[entries.buckets] += lengths
 
 
 def norms_of(codes: SparseCodes, gram: Tensor) -> Tensor:

@@ -50,7 +50,7 @@ class StudyVerb(DataSetVerb):
         study, protocol = self.study(console, out), PIXELS[self.data_set]
         refuse_existing(out, study.stem, self.common.overwrite)
         labelled = self.open_labelled(console, protocol)
-        scenes = [open_study_scene(each, encode_labels(each, self.text_source(each))) for each in labelled]
+        scenes = [open_study_scene(item, encode_labels(item, self.text_source(item))) for item in labelled]
         with console.progress() as progress:
             results = study.results(scenes, progress)
         described = {name.removesuffix("_name"): getattr(self, name) for name in self.recorded.split()}

@@ -31,7 +31,7 @@ class PixelProtocol(Entry):
         default_factory=lambda: {system: rule.threshold for system, rule in MASK_RULES.items()}
     )
     level_choice: LevelChoice | None = None  # in place of the rule's
-    levels: tuple[str, ...] | None = None  # those that may answer; None for all
+    levels: tuple[str, ...] | None = None  # levels that may answer; None for all
     localizes: bool = False  # whether points are scored too
     at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
 
@@ -39,9 +39,9 @@ class PixelProtocol(Entry):
         """Return the constants of a system for this data set."""
         if system not in self.thresholds:
             raise UnknownNameError(f"system with a rule for {self.name}", system, self.thresholds)
-        found = MASK_RULES[system]
-        level_choice = self.level_choice or found.level_choice
-        return replace(found, threshold=self.thresholds[system], level_choice=level_choice)
+        defaults = MASK_RULES[system]
+        level_choice = self.level_choice or defaults.level_choice
+        return replace(defaults, threshold=self.thresholds[system], level_choice=level_choice)
 
     def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
         """Return the scenes below ``root`` that have labels: those wanted, or all, the published ones first."""
@@ -88,14 +88,14 @@ class PixelProtocol(Entry):
             if len(maps) != len(levels):
                 raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
         truth, pairs = frame.resized(width, height), []
-        for place, label in enumerate(frame.labels):
-            of_label, hit, pixel = maps[rows, place], None, None
-            found = segment(of_label, rule)
+        for index, label in enumerate(frame.labels):
+            of_label, hit, pixel = maps[rows, index], None, None
+            answer = segment(of_label, rule)
             if self.localizes:
                 point = localize(of_label, rule)
                 hit, pixel = any_inside(point.pixels.cpu(), truth.boxes[label]), point.pixel
-            score = iou(found.mask.cpu(), truth.masks[label])
-            pairs.append(PairScore(frame.name, label, score, hit, rows[found.level], found.score, pixel))
+            score = iou(answer.mask.cpu(), truth.masks[label])
+            pairs.append(PairScore(frame.name, label, score, hit, rows[answer.level], answer.score, pixel))
         return pairs
 
     def score(

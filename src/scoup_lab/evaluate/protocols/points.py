@@ -1,5 +1,5 @@
-"""What counts where the unit is the point: the class a field gives each Gaussian, and how classes given are scored
-against the true ones (``scannet``; docs/evaluation.md).
+"""Scores by point: the class that a field gives each Gaussian, and its comparison with the true class
+(``scannet``; docs/evaluation.md).
 
 All of it counts points: a class that the truth lacks has no score, whatever was given.
 """
@@ -47,7 +47,7 @@ def label_gaussians(
     rows = slice(None) if level is None else slice(level, level + 1)
     coded = coded[rows]
     best = torch.full(coded.shape[1:], -torch.inf, device=coded.device)
-    found = torch.full(coded.shape[1:], NO_CLASS, dtype=torch.int64, device=coded.device)
+    classes = torch.full(coded.shape[1:], NO_CLASS, dtype=torch.int64, device=coded.device)
     for start in range(0, len(texts), QUERIES_AT_A_TIME):
         queries = vectors.of(texts[start : start + QUERIES_AT_A_TIME])
         relevancy = fitted.gaussian_relevancy(queries, vectors.canonical)[rows].to(coded.device)
@@ -55,8 +55,8 @@ def label_gaussians(
         values, positions = relevancy.masked_fill(~coded[:, None], -torch.inf).amax(0).max(0)
         better = values > best
         best = torch.where(better, values, best)
-        found[better] = positions[better] + start
-    return found
+        classes[better] = positions[better] + start
+    return classes
 
 
 def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
@@ -90,14 +90,14 @@ def class_totals(matrix: Tensor) -> Tensor:
 def class_ious(totals: Tensor) -> Tensor:
     """Return [..., C] intersection over union of each class from totals [..., 3, C]; NaN where no point
     truly has it."""
-    found, true, given = totals.unbind(-2)
-    return torch.where(true > 0, found / (true + given - found), torch.nan)
+    correct, true, given = totals.unbind(-2)
+    return torch.where(true > 0, correct / (true + given - correct), torch.nan)
 
 
 def class_accuracies(totals: Tensor) -> Tensor:
     """Return [..., C] share of each class's points that were found; NaN where there are none."""
-    found, true, _ = totals.unbind(-2)
-    return torch.where(true > 0, found / true, torch.nan)
+    correct, true, _ = totals.unbind(-2)
+    return torch.where(true > 0, correct / true, torch.nan)
 
 
 def class_mean(values: Tensor) -> Tensor:

@@ -49,7 +49,7 @@ def labels_path(folder: Path) -> Path:
 
 
 def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassList, where: str) -> Tensor:
-    """Return [N] int64 true class of each Gaussian, ``NO_CLASS`` for those that do not count.
+    """Return [N] int64 true class of each Gaussian, ``NO_CLASS`` where it does not count.
 
     ``points``: N, with numbers of NYU's 40 classes; ``classes``: one of ``CLASS_LISTS``.
     """

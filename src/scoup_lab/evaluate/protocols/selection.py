@@ -57,8 +57,8 @@ class Neighbourhood:
             nearest = self.nearest.to(values.device)
             number = counted[nearest].sum(1)
             mean = (values[level] * counted)[nearest].sum(1) / number.clamp(min=1)
-            own = values[level, self.members]
-            out[level, self.members] = torch.where(number > 0, 0.5 * (own + mean), own)
+            before = values[level, self.members]
+            out[level, self.members] = torch.where(number > 0, 0.5 * (before + mean), before)
         return out
 
 

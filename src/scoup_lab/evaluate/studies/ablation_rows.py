@@ -77,7 +77,7 @@ ABLATIONS: tuple[Ablation, ...] = (
     _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
     _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
     *_WITHOUT,
-    *(replace(each, name=f"{each.name}, dropped from blending", rule=CODED_ALONE) for each in _WITHOUT),
+    *(replace(row, name=f"{row.name}, dropped from blending", rule=CODED_ALONE) for row in _WITHOUT),
     Ablation("Adam", "solver", METHODS["paper"]),
     Ablation("only level s", "levels", BASE, only_level("s")),
     Ablation("only level m", "levels", BASE, only_level("m")),
@@ -96,4 +96,4 @@ def find_ablations(groups: Sequence[str]) -> list[Ablation]:
     for group in groups:
         if group not in known:
             raise UnknownNameError("group of ablations", group, known)
-    return [each for each in ABLATIONS if each.is_base or not groups or each.group in groups]
+    return [row for row in ABLATIONS if row.is_base or not groups or row.group in groups]

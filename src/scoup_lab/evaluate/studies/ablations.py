@@ -69,8 +69,8 @@ class Ablations(Study[AblationResult]):
 
     def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[AblationResult]:
         """See ``Study``; scenes are rasterised once, and once more for each pixel stride."""
-        found: dict[str, dict[int, list[SceneScore]]] = {each.name: {} for each in self.rows}
-        methods = list(dict.fromkeys(each.method for each in self.rows))
+        scores: dict[str, dict[int, list[SceneScore]]] = {row.name: {} for row in self.rows}
+        methods = list(dict.fromkeys(row.method for row in self.rows))
         total, done = len(scenes) * len(self.seeds) * len(methods), 0
         progress("ablations", 0, total)
         for scene in scenes:
@@ -79,15 +79,13 @@ class Ablations(Study[AblationResult]):
                 for method in methods:
                     if method.random or seed == self.seeds[0]:
                         fitted = method.fit(scene.rasterised, settings)
-                        rules = {
-                            each.name: each.rule(self.rule) for each in self.rows if each.method is method
-                        }
+                        rules = {row.name: row.rule(self.rule) for row in self.rows if row.method is method}
                         for name, score in scene.scores(fitted, rules).items():
-                            found[name].setdefault(seed, []).append(score)
+                            scores[name].setdefault(seed, []).append(score)
                     done += 1
                     progress("ablations", done, total)
                 scene.rasterised.forget_codes()  # those of the next seed are others
-        return [AblationResult(each, found[each.name]) for each in self.rows]
+        return [AblationResult(row, scores[row.name]) for row in self.rows]
 
     def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
         pairs = pair_names(next(iter(results[0].scores.values())))

@@ -79,15 +79,15 @@ class Comparison(Study[MethodResult]):
 
     def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[MethodResult]:
         """See ``Study``: every method on every scene, rasterised once for each way of counting pixels."""
-        found = []
+        results = []
         total = len(scenes) * len(self.methods)
         progress("compare", 0, total)
         for scene in scenes:
             inputs = _digests(scene)
             for method in self.methods:
-                found.append(self._kept_or_new(scene, method, inputs, progress))
-                progress("compare", len(found), total)
-        return found
+                results.append(self._kept_or_new(scene, method, inputs, progress))
+                progress("compare", len(results), total)
+        return results
 
     def report(self, results: Sequence[MethodResult], protocol: str, described: dict[str, Any]) -> Report:
         scenes = f"{len({result.score.scene for result in results})} scenes"
@@ -115,12 +115,12 @@ class Comparison(Study[MethodResult]):
         self, scene: StudyScene, method: Method, inputs: list[str], progress: Progress
     ) -> MethodResult:
         path = self.folder / scene.name / self._file(method, inputs)
-        kept = path.is_file()
-        result = MethodResult.read(path) if kept else self._result(scene, method, progress)
-        if not kept:
+        cached = path.is_file()
+        result = MethodResult.read(path) if cached else self._result(scene, method, progress)
+        if not cached:
             write_text(path, json.dumps(asdict(result)))
         scored = f"mIoU {100 * result.score.miou:.1f} %, fit in {result.fit_seconds:.1f} s"
-        self.say(f"{scene.name}, {result.method}: {scored}{', kept from before' if kept else ''}")
+        self.say(f"{scene.name}, {result.method}: {scored}{', kept from before' if cached else ''}")
         return result
 
     def _file(self, method: Method, inputs: list[str]) -> str:
@@ -152,7 +152,7 @@ class Comparison(Study[MethodResult]):
 def _digests(scene: StudyScene) -> list[str]:
     """Return digests of the splat, the cameras, the regions, the labels and their vectors."""
     rasterised, regions = scene.rasterised, scene.rasterised.regions
-    poses = [part for camera in rasterised.cameras for part in (camera.viewmat, camera.K)]
+    poses = [matrix for camera in rasterised.cameras for matrix in (camera.viewmat, camera.K)]
     masks = [mask for frame, _ in scene.labelled.frames for mask in frame.masks.values()]
     embeddings = [regions.embeddings(level)[0] for level in regions.levels]
     tensors = [scene.vectors.queries, scene.vectors.canonical, *poses, *embeddings, *masks]
@@ -189,18 +189,18 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
         "shared, kB",
     ]
     rows = []
-    for name, own in by_method(results).items():
-        interval = miou_interval([result.score for result in own])
+    for name, group in by_method(results).items():
+        interval = miou_interval([result.score for result in group])
         cells = [name, *interval.percent()]
         if localizes:
-            found = accuracy_interval([result.score for result in own])
-            cells.append("-" if found is None else found.percent()[0])
+            accuracy = accuracy_interval([result.score for result in group])
+            cells.append("-" if accuracy is None else accuracy.percent()[0])
         cells += [
-            f"{mean(result.rasterise_seconds for result in own):.2f}",
-            f"{mean(result.fit_seconds for result in own):.2f}",
-            f"{1e3 * mean(result.query_seconds for result in own):.0f}",
-            f"{mean(result.bytes_per_gaussian for result in own):.0f}",
-            f"{mean(result.shared_bytes for result in own) / 1e3:.0f}",
+            f"{mean(result.rasterise_seconds for result in group):.2f}",
+            f"{mean(result.fit_seconds for result in group):.2f}",
+            f"{1e3 * mean(result.query_seconds for result in group):.0f}",
+            f"{mean(result.bytes_per_gaussian for result in group):.0f}",
+            f"{mean(result.shared_bytes for result in group) / 1e3:.0f}",
         ]
         rows.append(tuple(cells))
     notes = (
@@ -217,9 +217,9 @@ def difference_table(results: Sequence[MethodResult], first: str, title: str) ->
     """Return mIoU of one method minus each other's, paired over queries."""
     grouped = by_method(results)
     rows = []
-    for name, own in grouped.items():
+    for name, group in grouped.items():
         if name != first and first in grouped:
-            interval = paired_difference([r.score for r in grouped[first]], [r.score for r in own])
+            interval = paired_difference([r.score for r in grouped[first]], [r.score for r in group])
             rows.append((f"{first} - {name}", interval.signed()))
     return Table(title, ("difference of mIoU", "mean and 95 % interval"), tuple(rows))
 
@@ -227,8 +227,8 @@ def difference_table(results: Sequence[MethodResult], first: str, title: str) ->
 def selection_table(results: Sequence[MethodResult], title: str) -> Table | None:
     """Return scores of the 3D-selection protocol; None if it was not wanted."""
     rows = []
-    for name, own in by_method(results).items():
-        selected = [result.selected for result in own if result.selected is not None]
+    for name, group in by_method(results).items():
+        selected = [result.selected for result in group if result.selected is not None]
         if selected:
             rows.append((name, *miou_interval(selected).percent()))
     if not rows:
@@ -259,22 +259,22 @@ def by_method(results: Sequence[MethodResult]) -> dict[str, list[MethodResult]]:
 def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
     """Return the record, for JSON."""
     record = {}
-    for name, own in by_method(results).items():
-        miou, accuracy = overall([result.score for result in own])
-        interval = miou_interval([result.score for result in own])
-        selected = [result.selected for result in own if result.selected is not None]
+    for name, group in by_method(results).items():
+        miou, accuracy = overall([result.score for result in group])
+        interval = miou_interval([result.score for result in group])
+        selected = [result.selected for result in group if result.selected is not None]
         record[name] = {
-            "iou": rounded_ious(pair.iou for result in own for pair in result.score.pairs),
+            "iou": rounded_ious(pair.iou for result in group for pair in result.score.pairs),
             "selection_iou": rounded_ious(pair.iou for score in selected for pair in score.pairs),
             "miou": miou,
             "miou_interval": interval.ends,
             "accuracy": accuracy,
             "selection_miou": overall(selected)[0] if selected else None,
-            "scenes": {result.score.scene: result.score.miou for result in own},
-            "rasterise_seconds": mean(result.rasterise_seconds for result in own),
-            "fit_seconds": mean(result.fit_seconds for result in own),
-            "query_seconds": mean(result.query_seconds for result in own),
-            "bytes_per_gaussian": mean(result.bytes_per_gaussian for result in own),
-            "shared_bytes": mean(result.shared_bytes for result in own),
+            "scenes": {result.score.scene: result.score.miou for result in group},
+            "rasterise_seconds": mean(result.rasterise_seconds for result in group),
+            "fit_seconds": mean(result.fit_seconds for result in group),
+            "query_seconds": mean(result.query_seconds for result in group),
+            "bytes_per_gaussian": mean(result.bytes_per_gaussian for result in group),
+            "shared_bytes": mean(result.shared_bytes for result in group),
         }
     return record

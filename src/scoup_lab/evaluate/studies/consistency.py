@@ -116,14 +116,14 @@ class Consistency(Study[ConsistencyResult]):
     def results(
         self, scenes: Sequence[StudyScene], progress: Progress = no_progress
     ) -> list[ConsistencyResult]:
-        found = []
+        results = []
         for done, scene in enumerate(scenes):
             progress("consistency", done, len(scenes))
             cameras, regions = scene.rasterised.cameras, scene.rasterised.regions
             of_scene = (scene.name, matched_points(scene), cameras, regions)
-            found += consistency(*of_scene, self.settings, self.autoencoder, self.seed)
+            results += consistency(*of_scene, self.settings, self.autoencoder, self.seed)
         progress("consistency", len(scenes), len(scenes))
-        return found
+        return results
 
     def report(
         self, results: Sequence[ConsistencyResult], protocol: str, described: dict[str, Any]
@@ -135,12 +135,12 @@ class Consistency(Study[ConsistencyResult]):
 
 def _pairs(matches: Matches, seed: int) -> tuple[list[Observation], list[Observation], np.ndarray]:
     """Return pairs of observations of one point, and its number."""
-    found = [(a, b, number) for number, point in enumerate(matches.points) for a, b in combinations(point, 2)]
-    if len(found) > MOST_PAIRS:
-        drawn = np.sort(np.random.default_rng(seed).choice(len(found), MOST_PAIRS, replace=False))
-        found = [found[place] for place in drawn]
-    first, second = [pair[0] for pair in found], [pair[1] for pair in found]
-    return first, second, np.array([pair[2] for pair in found], np.int64)
+    pairs = [(a, b, number) for number, point in enumerate(matches.points) for a, b in combinations(point, 2)]
+    if len(pairs) > MOST_PAIRS:
+        drawn = np.sort(np.random.default_rng(seed).choice(len(pairs), MOST_PAIRS, replace=False))
+        pairs = [pairs[index] for index in drawn]
+    first, second = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    return first, second, np.array([pair[2] for pair in pairs], np.int64)
 
 
 def _labels_of(
@@ -160,8 +160,8 @@ def _labels_of(
             labels |= dict.fromkeys(((view, pixel) for pixel in pixels), -1)
             continue
         camera = cameras[view]
-        found = regions.load(view, level).resized(camera.width, camera.height).labels.flatten()
-        values = found[torch.tensor(pixels)].tolist()
+        image = regions.load(view, level).resized(camera.width, camera.height).labels.flatten()
+        values = image[torch.tensor(pixels)].tolist()
         start = of_views[view].start
         labels |= {(view, p): v + start if v >= 0 else -1 for p, v in zip(pixels, values, strict=True)}
     return labels
@@ -172,7 +172,7 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
     levels, each counting alike."""
     rows = []
     means: dict[str, list[tuple[float, float]]] = {}
-    gains = {each[:3]: each[3] for each in gap_differences(results)}
+    gains = {row[:3]: row[3] for row in gap_differences(results)}
     for result in results:
         gain = gains.get((result.scene, result.level, result.features))
         interval = result.interval()
@@ -186,7 +186,7 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
         rows.append((result.features, result.scene, result.level, str(len(result.cosines)), *cells))
         means.setdefault(result.features, []).append((interval.mean, result.unmatched))
     for features, pairs in means.items():
-        cosine, unmatched = (mean(part) for part in zip(*pairs, strict=True))
+        cosine, unmatched = (mean(values) for values in zip(*pairs, strict=True))
         cells = (f"{cosine:.3f}", "-", f"{unmatched:.3f}", f"{cosine - unmatched:.3f}", "-")
         rows.append((features, "all", "all", "-", *cells))
     notes = tuple(f"{scene}: matched by {source}." for scene, source in sources_of(results).items())
@@ -220,13 +220,13 @@ def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str
     Returns scene, level, features, and the mean over points of their gap less that of the raw embeddings,
     with an interval over points: paired, since all features are of the same pairs.
     """
-    raw = {(each.scene, each.level): each.gaps() for each in results if each.features == RAW}
+    raw = {(item.scene, item.level): item.gaps() for item in results if item.features == RAW}
     rows = []
-    for each in results:
-        if each.features != RAW:
-            differences = (each.gaps() - raw[each.scene, each.level]).tolist()
+    for item in results:
+        if item.features != RAW:
+            differences = (item.gaps() - raw[item.scene, item.level]).tolist()
             numbers = [str(number) for number in range(len(differences))]
-            rows.append((each.scene, each.level, each.features, bootstrap_interval(differences, numbers)))
+            rows.append((item.scene, item.level, item.features, bootstrap_interval(differences, numbers)))
     return rows
 
 

@@ -53,14 +53,14 @@ def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
     stems = {camera.stem: camera for camera in cameras}
     points = []
     for position, names in zip(torch.from_numpy(positions), tracks, strict=True):
-        found = []
+        track = []
         for name in names:
             camera = known.get(name) or stems.get(Path(name).name.split(".", 1)[0])
             pixel = None if camera is None else _pixel(position, camera)
             if camera is not None and pixel is not None:
-                found.append((camera.name, pixel))
-        if len(found) > 1:
-            points.append(found)
+                track.append((camera.name, pixel))
+        if len(track) > 1:
+            points.append(track)
     return Matches("COLMAP tracks", points) if points else None
 
 
@@ -75,7 +75,7 @@ def dominant_gaussians(
             chosen = pairs.kept((centres[pairs.gaussian] == pairs.pixel) & (pairs.weight > DOMINANT))
             for gaussian, pixel in zip(chosen.gaussian.tolist(), chosen.pixel.tolist(), strict=True):
                 seen.setdefault(gaussian, []).append((camera.name, pixel))
-    return Matches("Gaussians", [found for _, found in sorted(seen.items()) if len(found) > 1])
+    return Matches("Gaussians", [track for _, track in sorted(seen.items()) if len(track) > 1])
 
 
 def _pixel(position: Tensor, camera: Camera) -> int | None:

@@ -21,7 +21,7 @@ class Study(ABC, Generic[Result]):
 
     @abstractmethod
     def results(self, scenes: Sequence[StudyScene], progress: Progress = no_progress) -> list[Result]:
-        """Return what was found on each scene; ``progress`` is called after each piece of work."""
+        """Return the results on each scene; ``progress`` is called after each piece of work."""
 
     @abstractmethod
     def report(self, results: Sequence[Result], protocol: str, described: dict[str, Any]) -> Report:

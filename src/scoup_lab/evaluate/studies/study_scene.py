@@ -29,7 +29,7 @@ class ScoringRule:
     """A rule from maps to scores."""
 
     mask_rule: MaskRule  # constants and choice of the level
-    levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
+    levels: tuple[str, ...] | None = None  # names of levels that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
     coded: bool = (
         False  # draw only the Gaussians that have a code (``relevancy_of_coded``); of sparse codes only
@@ -63,7 +63,7 @@ class StudyScene:
         for frame, camera in self.labelled.frames:
             projection = raster.project(scene.gaussians, camera, scene.raster_preset)
             size = self.labelled.map_size(frame, camera)
-            queries, found = self.vectors.of(frame.labels), {}
+            queries, by_kind = self.vectors.of(frame.labels), {}
             for everyday, coded in kinds:
                 canonical = phrases[everyday]
                 if coded:
@@ -74,8 +74,8 @@ class StudyScene:
                     maps = relevancy_of_coded(fitted, scene.gaussians, camera, queries, canonical, size)
                 else:
                     maps = fitted.relevancy(projection, queries, canonical, size)
-                found[everyday, coded] = maps
-            yield frame, found
+                by_kind[everyday, coded] = maps
+            yield frame, by_kind
 
     def score(self, fitted: FittedMethod, rule: MaskRule) -> SceneScore:
         """Return the score by the protocol."""
@@ -87,9 +87,9 @@ class StudyScene:
         protocol = ""
         for frame, maps in self.maps(fitted, rules.values()):
             for name, rule in rules.items():
-                part = self._score(frame, maps[rule.kind], rule)
-                pairs[name].extend(part.pairs)
-                protocol = part.protocol
+                score = self._score(frame, maps[rule.kind], rule)
+                pairs[name].extend(score.pairs)
+                protocol = score.protocol
         return {
             name: SceneScore(self.name, rules[name].mask_rule.name, tuple(of_rule), protocol)
             for name, of_rule in pairs.items()
@@ -135,9 +135,9 @@ def relevancy_of_coded(
     field, levels = fitted.field, []
     for level, chosen in enumerate(fitted.coded()):
         info = replace(field.info, levels=(field.levels[level],), n_gaussians=int(chosen.sum()))
-        part = slice(level, level + 1)
-        codes = rows_of(field.code_indices[:, part], chosen), field.code_weights[chosen, part]
-        alone = FittedField(Field(*codes, field.codebook[part], info), fitted.all_kept)
+        columns = slice(level, level + 1)
+        codes = rows_of(field.code_indices[:, columns], chosen), field.code_weights[chosen, columns]
+        alone = FittedField(Field(*codes, field.codebook[columns], info), fitted.all_kept)
         projection = raster.project(gaussians.select(chosen), camera, field.info.raster_preset)
         levels.append(alone.relevancy(projection, queries, canonical, size))
     return torch.cat(levels)

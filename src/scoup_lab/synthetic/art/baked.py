@@ -45,8 +45,8 @@ def _split(columns: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
 
 def _thing(fields: dict[str, Any], shapes: Sequence[Mesh], paints: Sequence[Paint]) -> Thing:
     pieces = tuple(_piece(piece, shapes, paints) for piece in fields["pieces"])
-    turn, place = (np.array(fields[name]) for name in ("turn", "place"))
-    return Thing(**{**fields, "pieces": pieces, "turn": turn, "place": place})
+    turn, position = (np.array(fields[name]) for name in ("turn", "place"))
+    return Thing(**{**fields, "pieces": pieces, "turn": turn, "place": position})
 
 
 def _piece(fields: dict[str, Any], shapes: Sequence[Mesh], paints: Sequence[Paint]) -> Piece:

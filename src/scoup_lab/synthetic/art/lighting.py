@@ -93,9 +93,9 @@ def visible(points: Floats, normals: Floats, direction: Floats, blockers: Mesh, 
     _, seen = draw((flat[:, :2] - low[:2]) * scale, flat[:, 2] - low[2] + 1.0, blockers.faces, size, size)
     # Points are lifted off their surface, so that a surface seen at an angle does not shade itself.
     spot = (points + normals * gap * 0.5) @ frame.T
-    place, height = (spot[:, :2] - low[:2]) * scale - 0.5, spot[:, 2] - low[2] + 1.0
-    corner = np.floor(place).astype(int)
-    share = place - corner
+    position, height = (spot[:, :2] - low[:2]) * scale - 0.5, spot[:, 2] - low[2] + 1.0
+    corner = np.floor(position).astype(int)
+    share = position - corner
     total = np.zeros(len(points))
     for step_x in (0, 1):
         for step_y in (0, 1):

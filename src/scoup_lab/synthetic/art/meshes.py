@@ -1,4 +1,4 @@
-"""Triangle meshes, of which all things are made."""
+"""Triangle meshes, the material of all things."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "noise": smooth_noise,
     "take": lambda rows, numbers: np.asarray(rows)[numbers],
 }  # fmt: skip
-"""What a node of a graph may do, by name."""
+"""Operations of a node of a graph, by name."""
 
 
 def paint_of(graph: Sequence[Sequence[Any]]) -> Paint:

@@ -28,10 +28,10 @@ def visible_faces(vertices: Floats, faces: Ints, camera: Camera) -> NDArray[np.i
     depth = np.where(in_front, points[:, 2], 1.0)
     # The inverse depth is linear over a triangle in the image, the depth is not.
     pixels = (points[:, :2] @ intrinsics[:2, :2].T) / depth[:, None] + intrinsics[:2, 2]
-    kept = np.flatnonzero(in_front[faces].all(1))
+    front = np.flatnonzero(in_front[faces].all(1))
     # Image rows run downwards, so a face that turns anticlockwise seen from outside turns clockwise here.
-    nearest, _ = draw(pixels, 1.0 / depth, faces[kept][:, ::-1], camera.width, camera.height)
-    return np.append(kept, -1)[nearest]
+    nearest, _ = draw(pixels, 1.0 / depth, faces[front][:, ::-1], camera.width, camera.height)
+    return np.append(front, -1)[nearest]
 
 
 def draw(
@@ -57,11 +57,11 @@ def draw(
 
     rows = (last - first)[drawn, 1].astype(np.int64) + 1
     buffer = np.full(width * height, -1, np.int64)
-    for part in np.array_split(np.arange(len(drawn)), 1 + int(rows.sum()) * 8 // CHUNK):
-        face, row = _repeated(part, rows[part], first[drawn[part], 1].astype(np.int64))
+    for chunk in np.array_split(np.arange(len(drawn)), 1 + int(rows.sum()) * 8 // CHUNK):
+        face, row = _repeated(chunk, rows[chunk], first[drawn[chunk], 1].astype(np.int64))
         start, end = _span(shares[:, face], np.asarray(row + 0.5, np.float64), width)
-        kept = start <= end
-        face, row, start, end = face[kept], row[kept], start[kept], end[kept]
+        filled = start <= end
+        face, row, start, end = face[filled], row[filled], start[filled], end[filled]
         line, x = _repeated(np.arange(len(face)), end - start + 1, start)
         slope_x, rest = plane[face, 0], plane[face, 1] * (row + 0.5) + plane[face, 2]
         value = (slope_x[line] * (x + 0.5) + rest[line]).astype(np.float32)

@@ -1,16 +1,15 @@
-"""How much each Gaussian contributes to each pixel: a tile and a chunk of Gaussians at a time, front to back.
+"""Contributions of Gaussians to pixels: a tile and a chunk of Gaussians at a time, front to back.
 
 The blending weights of G Gaussians at P pixels are a matrix E [G, P]; what follows is one matrix product: rendering is
 E^T @ values, region sums are E @ one-hot(regions). The transmittance behind each Gaussian of a chunk is a running
 product down its column. A pixel stops before the Gaussian that would take its transmittance below the bound; since
 transmittance only falls, that one and all behind it are the ones masked.
 
-How these kernels are written follows from what Triton makes of them. A tensor is spread over threads by its last
-dimension, so in [G, P] a thread has a pixel and the whole chunk, and threads exchange nothing for a running product;
-in [P, G] the same takes more than twice the instructions. Whenever a
-tensor's spread changes, it goes through shared memory with a barrier before and after, which costs more than the
-arithmetic here; so a thread loads what it needs of a Gaussian itself, and what is carried from chunk to chunk keeps
-its shape [1, P].
+These kernels are written for Triton's layouts. A tensor is distributed over threads by its last dimension, so in
+[G, P] a thread has a pixel and the whole chunk, and threads exchange nothing for a running product; in [P, G] the same
+takes more than twice the instructions. A change of layout goes through shared memory with a barrier before and after,
+which costs more than the arithmetic here; so a thread loads its terms of a Gaussian itself, and values carried from
+chunk to chunk keep the shape [1, P].
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -30,8 +29,8 @@ ROW = tl.constexpr(6)
 PADDING = 64  # records behind the last one; a chunk may be read beyond its tile's list
 ALPHA_MIN = tl.constexpr(presets.ALPHA_MIN)
 LOW_SCALE = tl.constexpr(2048.0)
-# float16 holds no numbers between multiples of 2^-24, and the weight of a Gaussian that is all but hidden is 4e-7.
-# Times this, every weight keeps its digits, and the largest, 1, does not overflow.
+# The smallest step of float16 is 2^-24, and the weight of a nearly hidden Gaussian is 4e-7. Times this, every weight
+# keeps its digits, and the largest, 1, does not overflow.
 WEIGHT_SCALE = tl.constexpr(32768.0)
 
 
@@ -52,9 +51,9 @@ def gaussians_of(numbers, start, end, CHUNK: tl.constexpr):
     """Rows in the scene of the Gaussians ``start`` to ``start + CHUNK`` of a tile's list, and whether they are there,
     [G] each. ``numbers`` are the records as int32.
     """
-    place = tl.arange(0, CHUNK)
-    there = place < end - start
-    gaussian = tl.load(numbers + start * RECORD + (place * RECORD + ROW), mask=there, other=0)
+    lane = tl.arange(0, CHUNK)
+    there = lane < end - start
+    gaussian = tl.load(numbers + start * RECORD + (lane * RECORD + ROW), mask=there, other=0)
     return gaussian, there
 
 
@@ -98,10 +97,9 @@ def blend(
 def spread(records, start, end, CHUNK: tl.constexpr, PIXELS: tl.constexpr):
     """u, v, ku, kv, skew and peak of a chunk, [G, P] each, the same at all pixels."""
     row = tl.arange(0, CHUNK)
-    # Triton spreads what it loads along the dimension where addresses follow each other most, and all that comes of it
-    # likewise. Across pixels they are the same, so it is told that there are two in a row; how many are loaded at once
-    # follows from the last dimension alone, where there are four. The zero must not look like one, or else what was
-    # told is lost with the sum.
+    # Triton lays out a load, and all values computed from it, along the dimension with the longest run of contiguous
+    # addresses. Addresses are equal across pixels, so a hint claims runs of two; the width of a load depends on the
+    # last dimension alone, with runs of four. The zero must not look constant, or the hint is folded away with the sum.
     nothing = tl.arange(0, PIXELS) // PIXELS
     at = row[:, None, None] * RECORD + tl.arange(0, 4)[None, None, :] + nothing[None, :, None]
     first_at = tl.max_contiguous(tl.multiple_of(records + start * RECORD + at, (16, 16, 16)), (1, 2, 4))
@@ -116,15 +114,15 @@ def spread(records, start, end, CHUNK: tl.constexpr, PIXELS: tl.constexpr):
     skew_row, peak_0 = tl.split(second)
     skew, _ = tl.split(skew_row)
     peak, _ = tl.split(peak_0)
-    # What is behind the list is another tile's, or zeros: numbers in any case.
+    # Beyond the list are records of another tile, or zeros: never NaN.
     peak = tl.where((row < end - start)[:, None], peak, -float("inf"))
     return u, v, ku, kv, skew, peak
 
 
 @triton.jit
 def one_behind_the_other(through, share, through_behind, share_behind):
-    """Return what two groups of Gaussians let through together, and the share of the light that the hindmost one
-    contributes: its alpha times what all before it let through. Associative, and no division is needed.
+    """Return the transmittance of two groups of Gaussians together, and the hindmost Gaussian's share of the light:
+    its alpha times the transmittance of all before it. Associative, and without a division.
     """
     return through * through_behind, through * share_behind
 

@@ -43,13 +43,13 @@ def channels_kernel(
     gaussian, there = gaussians_of(numbers, start, end, CHUNK)
     while start < end:
         rows = values + gaussian.to(tl.int64)[:, None] * n_channels + channel[None, :]
-        own = tl.load(rows, mask=there[:, None] & in_range[None, :], other=0.0)
-        # Who comes next is on its way while these are blended.
+        chunk_values = tl.load(rows, mask=there[:, None] & in_range[None, :], other=0.0)
+        # Prefetch the next chunk while this one is blended.
         gaussian, there = gaussians_of(numbers, start + CHUNK, end, CHUNK)
         weights, transmittance = blend(
             records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, 1.0
         )
-        sums = tl.dot(tl.trans(weights), own, sums, input_precision=PRECISION)
+        sums = tl.dot(tl.trans(weights), chunk_values, sums, input_precision=PRECISION)
         covered += tl.sum(weights, axis=0, keep_dims=True)
         start = tl.where(is_lit(transmittance), start + CHUNK, end)
     out = image + pixel.to(tl.int64)[:, None] * n_channels + channel[None, :]

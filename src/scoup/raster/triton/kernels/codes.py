@@ -223,7 +223,7 @@ def accumulate_codes(
     # not lose the registers that matrix products behind it take descriptors from (tests/machine_code.py).
     going = tl.full([], 1, tl.int32)
     while going != 0:
-        # The codes of the next chunk are on their way while this one is blended.
+        # Prefetch the codes of the next chunk while this one is blended.
         next_0, next_1, next_2, next_3 = first_words(
             words, numbers, start + CHUNK, end, level, n_levels, LEVELS, GROUPS, CHUNK
         )
@@ -290,11 +290,11 @@ def codes_kernel(
     atom = block * ATOMS + tl.arange(0, ATOMS)
     stored = inside[:, None] & (atom < n_atoms)[None, :]
     plane = height.to(tl.int64) * width * n_atoms
-    own = out + first_level * plane + pixel.to(tl.int64)[:, None] * n_atoms + atom[None, :]
-    tl.store(own, sums_0 * (1.0 / WEIGHT_SCALE), mask=stored)
+    target = out + first_level * plane + pixel.to(tl.int64)[:, None] * n_atoms + atom[None, :]
+    tl.store(target, sums_0 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 1:
-        tl.store(own + plane, sums_1 * (1.0 / WEIGHT_SCALE), mask=stored)
+        tl.store(target + plane, sums_1 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 2:
-        tl.store(own + 2 * plane, sums_2 * (1.0 / WEIGHT_SCALE), mask=stored)
+        tl.store(target + 2 * plane, sums_2 * (1.0 / WEIGHT_SCALE), mask=stored)
     if LEVELS > 3:
-        tl.store(own + 3 * plane, sums_3 * (1.0 / WEIGHT_SCALE), mask=stored)
+        tl.store(target + 3 * plane, sums_3 * (1.0 / WEIGHT_SCALE), mask=stored)

@@ -110,14 +110,14 @@ def store_products(
             squared += tl.sum(products * coefficients, axis=1)
     inverse = tl.where(squared > 0, 1.0 / tl.sqrt(tl.maximum(squared, TINY)), 0.0)
     for first in range(0, n_columns, COLUMNS):
-        found = times_table(coefficients, tables, level, n_levels, n_atoms, n_columns, first, COLUMNS)
-        found *= inverse[:, None]
+        values = times_table(coefficients, tables, level, n_levels, n_atoms, n_columns, first, COLUMNS)
+        values *= inverse[:, None]
         column = first + tl.arange(0, COLUMNS)
         if PIXELS_LAST:
-            place = (level.to(tl.int64) * n_columns + column)[None, :] * pixels + pixel[:, None]
+            target = (level.to(tl.int64) * n_columns + column)[None, :] * pixels + pixel[:, None]
         else:
-            place = (level.to(tl.int64) * pixels + pixel)[:, None] * n_columns + column[None, :]
-        tl.store(out + place, found, mask=inside[:, None] & (column < n_columns)[None, :])
+            target = (level.to(tl.int64) * pixels + pixel)[:, None] * n_columns + column[None, :]
+        tl.store(out + target, values, mask=inside[:, None] & (column < n_columns)[None, :])
 
 
 @triton.jit
@@ -135,10 +135,10 @@ def times_table(
     nothing = tl.zeros([coefficients.shape[0], COLUMNS], tl.float32)
     atom, column = tl.arange(0, coefficients.shape[1]), first + tl.arange(0, COLUMNS)
     there = (atom < n_atoms)[:, None] & (column < n_columns)[None, :]
-    part = table + (level.to(tl.int64) * n_atoms + atom[:, None]) * n_columns + column[None, :]
+    entries = table + (level.to(tl.int64) * n_atoms + atom[:, None]) * n_columns + column[None, :]
     high, low = halves(coefficients)
-    other_high = tl.load(part, mask=there, other=0.0)
-    other_low = tl.load(part + n_levels.to(tl.int64) * n_atoms * n_columns, mask=there, other=0.0)
+    other_high = tl.load(entries, mask=there, other=0.0)
+    other_low = tl.load(entries + n_levels.to(tl.int64) * n_atoms * n_columns, mask=there, other=0.0)
     small = tl.dot(high, other_low, nothing)
     small = tl.dot(low, other_high, small)
     return tl.dot(high, other_high, small * (1.0 / LOW_SCALE))

@@ -4,7 +4,7 @@ There is little to compute for each Gaussian and each pair of a Gaussian and a t
 float32: with offsets taken from the tile's corner here, the pixels see small numbers however far a centre lies.
 """
 
-# Triton's annotations are for its own compiler: to it a tensor may be indexed with None, and is no tuple.
+# Triton's annotations are for its own compiler, which indexes tensors with None and does not unpack them.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
 # pyright: reportIndexIssue=false, reportOperatorIssue=false
 
@@ -28,8 +28,8 @@ LOW_PASS, ALPHA_MIN, LOG_ALPHA_MIN, SLACK = (
 ROOT_LOG2_E, LOG2_E = tl.constexpr(27), tl.constexpr(28)
 TABLE = 29
 
-# What is known of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the exact
-# test against a tile: its reach, and what the covariance ((xx, xy), (xy, yy)) makes of offsets.
+# Precomputed terms of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the
+# exact test against a tile: its reach, and factors of offsets from the covariance ((xx, xy), (xy, yy)).
 REACH = tl.constexpr(0)
 SLOPE_Y, SLOPE_X = tl.constexpr(1), tl.constexpr(2)  # xy / xx, xy / yy
 INVERSE_XX, INVERSE_YY = tl.constexpr(3), tl.constexpr(4)
@@ -142,7 +142,7 @@ def project_kernel(
     opacity = tl.minimum(opacity, 1.0)
     log_opacity = tl.log(tl.maximum(opacity, tl.load(camera + ALPHA_MIN)))
     reach = tl.maximum(2 * (log_opacity - tl.load(camera + LOG_ALPHA_MIN)), 0.0)
-    # Scales whose squares are beyond any number leave nothing to draw.
+    # Gaussians whose squared scales overflow are not drawn.
     alive &= (determinant * 0 == 0) & (xx * 0 == 0) & (yy * 0 == 0)
 
     extent_x, extent_y = tl.sqrt(reach * xx), tl.sqrt(reach * yy)
@@ -158,15 +158,15 @@ def project_kernel(
     tl.store(rects + 3 * slot, first_x, mask=there)
     tl.store(rects + 3 * slot + 1, first_y, mask=there)
     tl.store(rects + 3 * slot + 2, tl.maximum(span_x, 1), mask=there)
-    own = geometry + GEOMETRY * slot.to(tl.int64)
-    tl.store(own + REACH, reach, mask=there)
+    geometry_row = geometry + GEOMETRY * slot.to(tl.int64)
+    tl.store(geometry_row + REACH, reach, mask=there)
     inverse_xx, inverse_yy, inverse = 1.0 / xx, 1.0 / yy, 1.0 / determinant
-    tl.store(own + SLOPE_Y, xy * inverse_xx, mask=there)
-    tl.store(own + SLOPE_X, xy * inverse_yy, mask=there)
-    tl.store(own + INVERSE_XX, inverse_xx, mask=there)
-    tl.store(own + INVERSE_YY, inverse_yy, mask=there)
-    tl.store(own + WEIGHT_Y, xx * inverse, mask=there)
-    tl.store(own + WEIGHT_X, yy * inverse, mask=there)
+    tl.store(geometry_row + SLOPE_Y, xy * inverse_xx, mask=there)
+    tl.store(geometry_row + SLOPE_X, xy * inverse_yy, mask=there)
+    tl.store(geometry_row + INVERSE_XX, inverse_xx, mask=there)
+    tl.store(geometry_row + INVERSE_YY, inverse_yy, mask=there)
+    tl.store(geometry_row + WEIGHT_Y, xx * inverse, mask=there)
+    tl.store(geometry_row + WEIGHT_X, yy * inverse, mask=there)
     root = tl.load(camera + ROOT_LOG2_E)
     ku = root * tl.sqrt(0.5 * yy * inverse)
     shape = shapes + SHAPE * slot.to(tl.int64)
@@ -244,13 +244,13 @@ def list_kernel(
     u = tl.where(listed, ku.to(tl.float64) * corner_x - skew.to(tl.float64) * corner_y, 0.0).to(tl.float32)
     v = tl.where(listed, kv.to(tl.float64) * corner_y, 0.0).to(tl.float32)
     gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32).to(tl.float32, bitcast=True)
-    # Whole records at a time: threads that each write one write an eighth of what memory takes at once.
-    place = tl.arange(0, RECORD)[None, :]
-    record = tl.where(place == 0, u[:, None], tl.where(place == 1, v[:, None], 0.0))
-    record = tl.where(place == 2, ku[:, None], tl.where(place == 3, kv[:, None], record))
-    record = tl.where(place == 4, skew[:, None], tl.where(place == 5, peak[:, None], record))
-    record = tl.where(place == ROW, gaussian[:, None], record)
-    tl.store(records + pair[:, None] * RECORD + place, record, mask=(pair < n_records)[:, None])
+    # Write whole records together: one thread per record would use an eighth of the memory width.
+    index = tl.arange(0, RECORD)[None, :]
+    record = tl.where(index == 0, u[:, None], tl.where(index == 1, v[:, None], 0.0))
+    record = tl.where(index == 2, ku[:, None], tl.where(index == 3, kv[:, None], record))
+    record = tl.where(index == 4, skew[:, None], tl.where(index == 5, peak[:, None], record))
+    record = tl.where(index == ROW, gaussian[:, None], record)
+    tl.store(records + pair[:, None] * RECORD + index, record, mask=(pair < n_records)[:, None])
 
 
 @triton.jit
@@ -295,8 +295,8 @@ def view_point(means, camera, row, there):
 @triton.jit
 def turned(camera, row, x, y, z):
     """One coordinate of points in the camera's frame; ``row`` is where the matrix row begins in the table."""
-    own = camera + row
-    return tl.load(own) * x + tl.load(own + 1) * y + tl.load(own + 2) * z + tl.load(own + 3)
+    base = camera + row
+    return tl.load(base) * x + tl.load(base + 1) * y + tl.load(base + 2) * z + tl.load(base + 3)
 
 
 @triton.jit

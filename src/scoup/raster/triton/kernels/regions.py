@@ -1,4 +1,4 @@
-"""Region sums of a projection: how much each Gaussian contributes to each combination of regions, tile by tile.
+"""Region sums of a projection: the contribution of each Gaussian to each combination of regions, tile by tile.
 
 The pixels of a tile that have the same combination are one column. A Gaussian's sums over the columns of a tile are a
 row of E @ one-hot(columns), which serves all levels at once. What is not zero becomes an entry.
@@ -39,19 +39,19 @@ def columns_kernel(
     """Columns are in the order of their first pixels."""
     PIXELS: tl.constexpr = TILE * TILE
     tile = tl.program_id(0)
-    _, _, place, inside = pixels_of(tile, across, width, height, TILE)
-    label = tl.load(labels + place, mask=inside, other=-1)
+    _, _, image_pixel, inside = pixels_of(tile, across, width, height, TILE)
+    label = tl.load(labels + image_pixel, mask=inside, other=-1)
     pixel = tl.arange(0, PIXELS)
     same = label[:, None] == label[None, :]
     first = tl.min(tl.where(same, pixel[None, :], PIXELS), axis=1)
-    # The same once more, spread along the other dimension: cheaper than moving it there.
+    # Compute it again along the other dimension: cheaper than converting the layout.
     first_across = tl.min(tl.where(same, pixel[:, None], PIXELS), axis=0)
-    label_across = tl.load(labels + place, mask=inside, other=-1)
+    label_across = tl.load(labels + image_pixel, mask=inside, other=-1)
     begins = (first_across == pixel) & (label_across >= 0)
     column = tl.sum((begins[None, :] & (pixel[None, :] < first[:, None])).to(tl.int32), axis=1)
-    own = tile.to(tl.int64) * PIXELS
-    tl.store(columns + own + pixel, tl.where(label >= 0, column, -1).to(tl.int16))
-    tl.store(combinations + own + column, label, mask=(first == pixel) & (label >= 0))
+    tile_start = tile.to(tl.int64) * PIXELS
+    tl.store(columns + tile_start + pixel, tl.where(label >= 0, column, -1).to(tl.int16))
+    tl.store(combinations + tile_start + column, label, mask=(first == pixel) & (label >= 0))
     count = tl.sum(begins.to(tl.int32), axis=0)
     tl.store(n_columns + tile, count)
     tl.store(room + tile, (tl.load(starts + tile + 1) - tl.load(starts + tile)) * count)
@@ -83,7 +83,7 @@ def region_sums_kernel(
     CHUNK: tl.constexpr,
     COLUMNS: tl.constexpr,
 ):
-    """One program a tile. Few tiles have more than COLUMNS columns: they are walked over once more for each so many."""
+    """One program per tile. The few tiles with more than COLUMNS columns take one pass per COLUMNS of them."""
     PIXELS: tl.constexpr = TILE * TILE
     tile = first_tile + tl.program_id(0)
     x, y, _, inside = pixels_of(tile, across, width, height, TILE)
@@ -104,19 +104,19 @@ def region_sums_kernel(
             blended, transmittance = blend(
                 records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, WEIGHT_SCALE
             )
-            found = tl.zeros([CHUNK, COLUMNS], tl.float32)
+            sums = tl.zeros([CHUNK, COLUMNS], tl.float32)
             high, low = halves_of_weights(blended)
-            found = add_product(high, low, one_hot.to(tl.float16), found)
+            sums = add_product(high, low, one_hot.to(tl.float16), sums)
             gaussian, there = gaussians_of(numbers, start, end, CHUNK)
-            kept = there[:, None] & (column < count)[None, :] & (found > 0)
-            ones = kept.to(tl.int32)
+            positive = there[:, None] & (column < count)[None, :] & (sums > 0)
+            ones = positive.to(tl.int32)
             of_row = tl.sum(ones, axis=1)
             rows_before = tl.cumsum(of_row, axis=0) - of_row
-            place = written + rows_before[:, None] + tl.cumsum(ones, axis=1) - 1
+            target = written + rows_before[:, None] + tl.cumsum(ones, axis=1) - 1
             key = gaussian.to(tl.int64)[:, None] * n_combinations + combination[None, :]
-            tl.store(keys + place, key.to(keys.dtype.element_ty), mask=kept)
-            whole = (found.to(tl.float64) * (scale / WEIGHT_SCALE) + 0.5).to(tl.int64)
-            tl.store(weights + place, whole, mask=kept)
+            tl.store(keys + target, key.to(keys.dtype.element_ty), mask=positive)
+            whole = (sums.to(tl.float64) * (scale / WEIGHT_SCALE) + 0.5).to(tl.int64)
+            tl.store(weights + target, whole, mask=positive)
             written += tl.sum(of_row, axis=0)
             start = tl.where(is_lit(transmittance), start + CHUNK, end)
     tl.store(n_entries + tl.program_id(0), written)
@@ -145,10 +145,10 @@ def gather_kernel(
     count = tl.load(n_entries + here)
     target = tl.load(entries_end + here) - count
     for first in range(0, count, BLOCK):
-        place = first + tl.arange(0, BLOCK)
-        there = place < count
-        tl.store(keys_out + target + place, tl.load(keys + source + place, mask=there), mask=there)
-        tl.store(weights_out + target + place, tl.load(weights + source + place, mask=there), mask=there)
+        entry = first + tl.arange(0, BLOCK)
+        there = entry < count
+        tl.store(keys_out + target + entry, tl.load(keys + source + entry, mask=there), mask=there)
+        tl.store(weights_out + target + entry, tl.load(weights + source + entry, mask=there), mask=there)
 
 
 @triton.jit(do_not_specialize=["count", "n_combinations"])
@@ -164,11 +164,11 @@ def unpack_kernel(
     BLOCK: tl.constexpr,
 ):
     """Keys and whole numbers of ``region_sums_kernel`` become entries."""
-    place = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    there = place < count
-    key = tl.load(keys + place, mask=there, other=0)
+    entry = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    there = entry < count
+    key = tl.load(keys + entry, mask=there, other=0)
     gaussian = key // n_combinations
-    tl.store(gaussians + place, gaussian.to(tl.int32), mask=there)
-    tl.store(combinations + place, (key - gaussian * n_combinations).to(tl.int32), mask=there)
-    total = tl.load(totals + place, mask=there, other=0).to(tl.float64)
-    tl.store(weights + place, (total / scale).to(tl.float32), mask=there)
+    tl.store(gaussians + entry, gaussian.to(tl.int32), mask=there)
+    tl.store(combinations + entry, (key - gaussian * n_combinations).to(tl.int32), mask=there)
+    total = tl.load(totals + entry, mask=there, other=0).to(tl.float64)
+    tl.store(weights + entry, (total / scale).to(tl.float32), mask=there)
