@@ -171,7 +171,8 @@ def _in_short(row: Row) -> str:
     if "mean" in row.get("RGB", {}):
         shares = (value["beyond 1e-3"] for value in row.values() if "beyond 1e-3" in value)
         return f"at most {max(shares):.2g} of the pixels differ by more than 0.001 of the largest value"
-    return ", ".join(f"{name} {value:.3g}" for name, value in row.items())
+    numbers = {name: f"{value:.3g}" if isinstance(value, float) else value for name, value in row.items()}
+    return ", ".join(f"{name} {value}" for name, value in numbers.items())
 
 
 def _reason(error: Exception) -> Row:

@@ -10,8 +10,7 @@ import torch
 
 from messages import refuses
 from scoup.field import MOST_THINGS, NO_THING, ThingTable
-from scoup.field.thing_table import LEAST_SPREAD, SURE_REGIONS
-from scoup.scene import TENSORS
+from scoup.field.thing_table import LEAST_SPREAD, SURE_REGIONS, TENSORS
 
 
 def parts(**changes: Any) -> dict[str, Any]:

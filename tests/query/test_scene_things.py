@@ -14,6 +14,7 @@ from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room, with_whole
 from scoup.field import NO_THING, ThingTable
+from scoup.field.thing_table import TENSORS
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import OrientedBox, PointSets
@@ -22,7 +23,7 @@ from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
 from scoup.query.thing_names import best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
-from scoup.scene import TENSORS, Camera, Gaussians
+from scoup.scene import Camera, Gaussians
 from support import altered, examples
 
 

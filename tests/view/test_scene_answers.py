@@ -18,10 +18,10 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 from messages import refuses
 from scoup.base import UnknownNameError
 from scoup.field import NO_THING, ThingTable
+from scoup.field.thing_table import TENSORS
 from scoup.models import everyday_vocabulary
 from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
-from scoup.scene import TENSORS
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField

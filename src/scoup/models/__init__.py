@@ -4,6 +4,7 @@ Only this room knows transformers and open_clip, which are loaded when a model i
 and says which text space its embeddings are in.
 """
 
+from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
 from scoup.models.dense import DENSE_PREFIX, DenseModel, open_dense_model
 from scoup.models.entry import Device, HubEntry, ModelEntry
@@ -23,7 +24,7 @@ from scoup.models.text import (
 )
 from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 from scoup.models.word_table import check_table_name, is_table, load_table, save_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
+from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 
 __all__ = [
     "ANY_OPEN_CLIP",
@@ -62,3 +63,6 @@ __all__ = [
     "save_table",
     "with_everyday",
 ]
+
+# The list is read when it is needed.
+__getattr__ = lazy_names(__name__, {"EVERYDAY_WORDS": "scoup.models.words"})
