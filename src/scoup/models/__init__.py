@@ -33,7 +33,7 @@ __all__ = [
     "COLORS",
     "CONCEPTS",
     "DENSE_PREFIX",
-    "EVERYDAY_WORDS",
+    "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
     "GROUP",
     "HUB",
     "LEAST_WORDS",
