@@ -12,9 +12,8 @@ from PIL import ImageColor
 import scoup
 from scoup.base import atomic_file
 from scoup.extract import Masks
-from scoup.io.splats.splat_format import SplatFormat
-from scoup.models import ModelEntry
-from scoup.models.hub import ModelIdentity
+from scoup.io import SplatFormat
+from scoup.models import ModelEntry, ModelIdentity
 
 
 class Grid:

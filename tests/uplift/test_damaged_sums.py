@@ -16,7 +16,7 @@ from tests.fuzzing.containers import SUMS
 from messages import refuses
 from scoup.base import FileFormatError
 from scoup.base.native import missing_reason
-from scoup.coding.codebook import SparseCodes
+from scoup.scene import SparseCodes
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
 from scoup.uplift.stored_sums import RegionSums

@@ -43,6 +43,7 @@ from scoup.io.splats.ply import (
     write_ply_table,
 )
 from scoup.io.splats.rotation import spread_directions
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.usd import UsdThing, write_usd
 from scoup.io.torch_file import load_torch
 
@@ -61,6 +62,7 @@ __all__ = [
     "PlyTable",
     "RegionManifest",
     "RegionStore",
+    "SplatFormat",
     "UsdThing",
     "ViewRegions",
     "as_stored",

@@ -8,7 +8,7 @@ from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
 from scoup.models.dense import DENSE_PREFIX, DenseModel, open_dense_model
 from scoup.models.entry import Device, HubEntry, ModelEntry
-from scoup.models.hub import OPEN_CLIP
+from scoup.models.hub import OPEN_CLIP, ModelIdentity
 from scoup.models.image import open_image_model
 from scoup.models.mobile_sam import MOBILE_SAM_FILE
 from scoup.models.sam import MOBILE_SAM, EncodedImage, PointModel, open_sam
@@ -49,6 +49,7 @@ __all__ = [
     "Encoder",
     "HubEntry",
     "ModelEntry",
+    "ModelIdentity",
     "PointModel",
     "TextEncoder",
     "check_model",
