@@ -7,8 +7,10 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 import torch
@@ -24,7 +26,7 @@ from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
 from scoup.archive.page import results_page
-from scoup.archive.search import look_alikes, rank_of
+from scoup.archive.search import Found, look_alikes, rank_of
 from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field import NameTable
@@ -350,3 +352,15 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
+
+
+def test_scans_that_may_have_better_things_are_asked(archive: scoup.Archive) -> None:
+    """One good thing is not enough to leave out a batch that is better than the last of the best."""
+
+    class Batches:
+        def batches(self) -> Iterator[tuple[float, Callable[[], list[Found]]]]:
+            for bound, ranks in ((1.0, (0.9, 0.2)), (0.5, (0.4,)), (0.3, (0.25,))):
+                yield bound, lambda ranks=ranks: [Found(0, 0, "mug", None, rank) for rank in ranks]
+
+    found = archive._answers(cast(Any, Batches()), {0: None}, 2)
+    assert [answer.rank for answer in found] == [0.9, 0.4]
