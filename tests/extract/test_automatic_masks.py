@@ -17,8 +17,14 @@ from torch.nn import functional
 from literal_rules import Generator, cut_off, mask_rule
 from mask_samples import smooth_image
 from messages import refuses
-from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
-from scoup.extract.grids import coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
+from scoup.extract.automatic_masks import (
+    SamSegmenter,
+    automatic_masks,
+    coarse_to_fine,
+    crop_boxes,
+    point_grid,
+    touches_inner_edge,
+)
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
 from scoup.models import open_sam

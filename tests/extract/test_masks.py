@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from literal_rules import box_of, box_suppression, clean_up, exact_crop_of, mask_rule, painted
 from mask_samples import mask_stacks, random_masks
 from messages import refuses
+from scoup.extract.automatic_masks import without_small_parts
 from scoup.extract.crops import mask_crops
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
 from scoup.extract.plain_colors import PlainColors
-from scoup.extract.small_parts import without_small_parts
 
 
 @given(mask_stacks())

@@ -8,9 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages import refuses
-from scoup.scene.directions import normalise_embeddings, query_vectors, unit_rows
+from scoup.scene.directions import (
+    normalise_embeddings,
+    quats_of_rotations,
+    query_vectors,
+    rotation_matrices,
+    unit_rows,
+)
 from scoup.scene.regions import RegionMap, Regions
-from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 from scoup.uplift import BuildSettings, build
 from support import examples, small_scene, unit
 

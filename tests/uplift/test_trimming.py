@@ -18,7 +18,7 @@ from scoup.scene import Cameras, Gaussians, Regions
 from scoup.uplift.constants import KEPT
 from scoup.uplift.settings import BuildSettings
 from scoup.uplift.stored_sums import RegionSums
-from scoup.uplift.trimming import find_strays
+from scoup.uplift.things import find_strays
 
 
 def ball(count: int, middle: tuple[float, float, float], radius: float, seed: int = 0) -> NDArray[np.float32]:

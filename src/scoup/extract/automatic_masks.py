@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,13 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.extract import constants
-from scoup.extract.grids import Box, coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
 from scoup.extract.settings import MaskSettings
-from scoup.extract.small_parts import without_small_parts
 from scoup.models import EncodedImage, PointModel
 from scoup.scene import LEVELS
+
+_COARSEST = 8  # rows and columns between the first points
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in pixels, x1 and y1 one past the last
 
 CHUNK_BYTES = 128 << 20  # of logits at the size of the image in memory at once
 
@@ -215,3 +218,106 @@ def _stability(logits: Tensor, settings: MaskSettings) -> Tensor:
     high = (logits > settings.stability_offset).sum((-2, -1), dtype=torch.int32)
     low = (logits > -settings.stability_offset).sum((-2, -1), dtype=torch.int32)
     return high / low
+
+
+def point_grid(points_per_side: int) -> NDArray[np.float64]:
+    """Return [n^2, 2] x, y in 0..1: the centres of n x n equal cells, row by row."""
+    line = (np.arange(points_per_side) + 0.5) / points_per_side
+    return np.stack([np.tile(line, points_per_side), np.repeat(line, points_per_side)], axis=1)
+
+
+def coarse_to_fine(points_per_side: int) -> list[NDArray[np.bool_]]:
+    """Return masks [n^2] of the grid's points by round: every eighth row and column, then the points in the middle of
+    four, then the points in the middle of the sides between, and so on; a round may be empty."""
+    y, x = np.indices((points_per_side, points_per_side)) - (_COARSEST // 2 - 1)
+    step = np.gcd(np.gcd(y, x), _COARSEST)
+    middle = (y // step % 2 == 1) & (x // step % 2 == 1) & (step < _COARSEST)
+    rounds = (2 * np.log2(_COARSEST // step).astype(np.int64) - middle).ravel()
+    return [rounds == number for number in range(2 * int(np.log2(_COARSEST)) + 1)]
+
+
+def crop_boxes(height: int, width: int, layers: int, share: float) -> list[Box]:
+    """Return the image itself, then 2^n x 2^n overlapping crops for each further layer n, as in SAM's code.
+
+    Neighbours overlap by ``share`` of the shorter side in the first layer, by half of it in each next.
+    """
+    boxes: list[Box] = [(0, 0, width, height)]
+    for layer in range(1, layers + 1):
+        a_side = 2**layer
+        overlap = int(share * min(height, width) * (2 / a_side))
+        wide, high = (math.ceil((overlap * (a_side - 1) + length) / a_side) for length in (width, height))
+        for column, row in product(range(a_side), repeat=2):
+            x0, y0 = (wide - overlap) * column, (high - overlap) * row
+            boxes.append((x0, y0, min(x0 + wide, width), min(y0 + high, height)))
+    return boxes
+
+
+def touches_inner_edge(
+    corners: NDArray[np.integer], crop: Box, height: int, width: int, near: float = 20.0
+) -> NDArray[np.bool_]:
+    """Return [N] whether boxes [N, 4] within a crop end within ``near`` pixels of an edge of the crop that is not an
+    edge of the image: they are cut off there."""
+    boxes = corners + np.array([crop[0], crop[1], crop[0], crop[1]])
+    near_crop = np.abs(boxes - np.array(crop)) <= near
+    near_image = np.abs(boxes - np.array([0, 0, width, height])) <= near
+    return np.asarray((near_crop & ~near_image).any(1), np.bool_)
+
+
+def without_small_parts(masks: Masks, least_area: int, most_overlap: float) -> Masks:
+    """Fill holes and remove islands of fewer than ``least_area`` pixels, then suppress boxes again.
+
+    As SAM's ``postprocess_small_regions``: pixels that touch at a corner belong together; a mask of small islands
+    alone keeps the largest; in the suppression the unchanged masks go first, and the result is in that order.
+    """
+    changed: dict[int, NDArray[np.bool_]] = {}
+    corner: dict[int, tuple[int, int]] = {}
+    for number in np.flatnonzero(masks.boxes[:, 2] > masks.boxes[:, 0]).tolist():
+        mask, offset = _with_margin(masks, number, least_area)
+        filled, removed = _fill_holes(mask, least_area), _remove_islands(mask, least_area)
+        if filled or removed:
+            changed[number], corner[number] = mask, offset
+    cleaned = masks.replace_masks(changed, corner)
+    unchanged = np.ones(len(masks), np.float32)
+    unchanged[list(changed)] = 0
+    return cleaned.select(keep_by_boxes(cleaned.corners(), unchanged, most_overlap))
+
+
+def _with_margin(masks: Masks, number: int, least_area: int) -> tuple[NDArray[np.bool_], tuple[int, int]]:
+    """Return a mask within a larger box, and the corner (x, y) of that box."""
+    x0, y0, x1, y1 = masks.boxes[number].tolist()
+    crop = masks.crop(number)
+    # A strip of the margin has ``least_area`` pixels: a component that leaves the margin is large whatever lies beyond,
+    # so that nothing outside matters.
+    across, down = -(-least_area // crop.shape[0]), -(-least_area // crop.shape[1])
+    left, right = min(x0, across), min(masks.size[1] - x1, across)
+    top, bottom = min(y0, down), min(masks.size[0] - y1, down)
+    return np.pad(crop, ((top, bottom), (left, right))), (x0 - left, y0 - top)
+
+
+def _fill_holes(mask: NDArray[np.bool_], least_area: int) -> bool:
+    """Fill in place; return whether there were small holes."""
+    holes, small = _parts(~mask, least_area)
+    mask |= small[holes]
+    return bool(small.any())
+
+
+def _remove_islands(mask: NDArray[np.bool_], least_area: int) -> bool:
+    """Remove in place; return whether there were small islands, one that stays alone included."""
+    islands, small = _parts(mask, least_area)
+    any_small = bool(small.any())
+    if small[1:].all():
+        small[1 + np.bincount(islands[mask])[1:].argmax()] = False
+    mask &= ~small[islands]
+    return any_small
+
+
+def _parts(pixels: NDArray[np.bool_], least_area: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Return the connected component of each pixel, from 1, 0 for false ones, and which components are small; 0 is
+    not."""
+    from scipy import ndimage
+
+    labels = np.zeros(pixels.shape, np.int32)
+    ndimage.label(pixels, np.ones((3, 3)), output=labels)
+    small = np.bincount(labels.ravel()) < least_area
+    small[0] = False
+    return labels, small

@@ -72,7 +72,7 @@ def refine(
         InputError: the field has no things or no cameras.
 
     Example:
-        >>> from scoup.scene.detections import Detections
+        >>> from scoup.scene import Detections
         >>> class Finder:  # finds the first text everywhere; in place of "owlv2"
         ...     def detect(self, image, texts):
         ...         box = torch.tensor([[0.0, 0.0, image.shape[1], image.shape[0]]])

@@ -20,9 +20,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
-from scoup.raster.colors import view_colors
 from scoup.raster.combinations import CombinedLabels, combine
-from scoup.raster.decoding import cosines_from_codes
+from scoup.raster.decoding import cosines_from_codes, view_colors
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME, morton_codes, morton_order, restored
 from scoup.raster.presets import RASTER_PRESETS, RasterPreset, raster_preset

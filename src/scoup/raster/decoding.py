@@ -1,9 +1,11 @@
-"""Cosines and features of codes, from coefficients."""
+"""Values of codes at pixels: cosines and features from coefficients, and colours from spherical harmonics."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from scoup.scene import SH_C0, Camera, Gaussians, sh_basis
 
 
 def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
@@ -37,3 +39,14 @@ def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
     coefficients are zero.
     """
     return torch.nn.functional.normalize(weights @ codebook, dim=-1)
+
+
+def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:
+    """Return [N, 3] float32 RGB of every Gaussian seen from the camera, max(0, SH(direction) + 0.5)."""
+    colors = SH_C0 * gaussians.sh[:, 0] + 0.5
+    if gaussians.sh_degree > 0:
+        position = camera.position.float().to(gaussians.device)
+        directions = torch.nn.functional.normalize(gaussians.means - position, dim=1)
+        basis = sh_basis(directions, gaussians.sh_degree)
+        colors = colors + torch.einsum("nb,nbc->nc", basis, gaussians.sh[:, 1:])
+    return colors.clamp(min=0)

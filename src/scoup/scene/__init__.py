@@ -15,15 +15,27 @@ from scoup.scene.codes import (
     signed,
     stable_products,
 )
-from scoup.scene.detections import Detections
-from scoup.scene.directions import normalise_embeddings, query_vectors
+from scoup.scene.directions import (
+    checked_direction,
+    estimate_up,
+    normalise_embeddings,
+    quats_of_rotations,
+    query_vectors,
+    rotation_matrices,
+)
 from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, TENSORS, Gaussians, chosen_rows
 from scoup.scene.harmonics import sh_basis
 from scoup.scene.neighbours import linked_parts, nearest_points
-from scoup.scene.regions import LEAST_EMBEDDING, LEVELS, RegionMap, Regions, codes_problem, resize_labels
-from scoup.scene.rotations import quats_of_rotations, rotation_matrices
+from scoup.scene.regions import (
+    LEAST_EMBEDDING,
+    LEVELS,
+    Detections,
+    RegionMap,
+    Regions,
+    codes_problem,
+    resize_labels,
+)
 from scoup.scene.sanity_checks import sanity_problems
-from scoup.scene.up import checked_direction, estimate_up
 
 __all__ = [
     "LEAST_EMBEDDING",

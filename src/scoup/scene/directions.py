@@ -1,12 +1,17 @@
-"""Directions: embeddings of regions and of texts, whose norms do not matter."""
+"""Directions: unit embeddings of regions and texts, rotations, and the direction that is up."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base import InputError
+from scoup.scene.cameras import Camera
+
+UPRIGHT = 0.01  # how much the cameras' own up counts beside their right sides being level
 
 NEARLY_UNIT = 1e-5
 """Rows whose norm is this near to 1 are left as they are, to the last bit."""
@@ -72,3 +77,65 @@ def query_vectors(
     if zero.any():
         raise InputError(f"{what}: row {int(zero.nonzero()[0])} is zero, which has no direction")
     return directions
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """Return [M, 3, 3] rotation matrices of quaternions [M, 4], normalised first."""
+    w, x, y, z = (quats / torch.linalg.vector_norm(quats, dim=1, keepdim=True)).unbind(1)
+    return torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1),
+        ],
+        1,
+    )
+
+
+def quats_of_rotations(rotations: Tensor) -> Tensor:
+    """Return [M, 4] unit quaternions of rotation matrices [M, 3, 3]."""
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(1) for row in rotations.unbind(1))
+    # Of the outer product of the quaternion with itself, the column with the largest diagonal is the most exact.
+    outer = torch.stack(
+        [
+            torch.stack([1 + a + e + i, h - f, c - g, d - b], 1),
+            torch.stack([h - f, 1 + a - e - i, b + d, c + g], 1),
+            torch.stack([c - g, b + d, 1 - a + e - i, f + h], 1),
+            torch.stack([d - b, c + g, f + h, 1 - a - e + i], 1),
+        ],
+        1,
+    )
+    largest = outer.diagonal(dim1=1, dim2=2).argmax(1)
+    return torch.nn.functional.normalize(outer[torch.arange(len(outer)), largest], dim=1)
+
+
+def checked_direction(up: Sequence[float]) -> Tensor:
+    """Return [3] float64, the unit vector of a direction.
+
+    Raises:
+        InputError: it is none.
+    """
+    direction = torch.as_tensor(tuple(up), dtype=torch.float64).flatten()
+    if direction.shape != (3,) or not bool(direction.isfinite().all()) or not bool(direction.any()):
+        raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
+    direction = direction / direction.abs().max()  # whose squares are in range
+    return direction / direction.norm()
+
+
+def estimate_up(cameras: Iterable[Camera]) -> Tensor:
+    """Return the up direction [3] float64 for which the cameras are level: people hold them so. Without cameras, +z.
+
+    It is orthogonal to the right sides of all images as far as possible; where they all point the same way, the
+    images' own up decides.
+    """
+    poses = [torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras]
+    if not poses:
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    rotations = torch.stack(poses)
+    right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
+    image_up = own_up / own_up.norm().clamp(min=1e-9)
+    tilt = right.T @ right / len(right) - UPRIGHT * image_up[:, None] * image_up
+    up = torch.linalg.eigh(tilt).eigenvectors[:, 0]
+    # Cameras that look straight down have no up of their own in the scene, but look down.
+    upright = own_up - UPRIGHT * rotations[:, 2].mean(0)
+    return up if float(up @ upright) >= 0 else -up
