@@ -55,11 +55,10 @@ from scoup.base import (
     rounded_vector,
     write_text,
 )
-from scoup.field import place_of, relative_place
+from scoup.field import LEAST_GAUSSIANS, place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
 from scoup.query import (
-    LEAST_GAUSSIANS,
     LanguageField,
     OrientedBox,
     check_encoder,

@@ -67,14 +67,14 @@ class Label:
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query import label_files, labels_of, literal, save_label_views, save_labels
+        from scoup.query import Expression, label_files, labels_of, save_label_views, save_labels
 
         words = self._words()
         out = output_folder(self.out, self.field, "labels")
         field = self.opening.open(self.field, self.common.device)
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
-        asked: list[Any] = [*dict.fromkeys(self.texts), *literal(words[len(set(self.texts)) :])]
+        asked: list[Any] = [*dict.fromkeys(self.texts), *map(Expression, words[len(set(self.texts)) :])]
         frame = self.directions.frame(field)
         question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.

@@ -96,7 +96,7 @@ class ServeAgents:
 
     def _open_fields(self, words: tuple[str, ...]) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
-        from scoup.query import LanguageField, literal
+        from scoup.query import Expression, LanguageField
 
         fields = {}
         for path in self.fields:
@@ -104,7 +104,7 @@ class ServeAgents:
             len(field.gaussians)
             field.encoder.names  # noqa: B018 - opened now
             if words:
-                field.question(literal(words))
+                field.question([Expression(word) for word in words])
             fields[path.stem] = field
         return fields
 

@@ -16,11 +16,10 @@ from scoup.query.drawing import (
     code_drawing,
     color_drawing,
     heat_frames,
-    moving_cameras,
     placed_atoms,
     relevancy_drawing,
 )
-from scoup.query.edits import SplatTable, best_camera, edit_picture, edited
+from scoup.query.edits import SplatTable, edit_picture, edited
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
@@ -31,7 +30,6 @@ from scoup.query.named import Named, find_named
 from scoup.query.phrases import texts_of
 from scoup.query.place import Place, numbered_things
 from scoup.query.presence import (
-    LEAST_GAUSSIANS,
     Certainty,
     TextScore,
     certainty,
@@ -44,12 +42,11 @@ from scoup.query.question import (
     TextVectors,
     check_encoder,
     encode_texts,
-    literal,
     make_question,
     near_names,
     warn_of_another_model,
 )
-from scoup.query.refinement import Refined, refine
+from scoup.query.refinement import refine
 from scoup.query.relations import overlaps, related_pairs
 from scoup.query.select import Reshaping
 from scoup.query.thing_judge import Shares, ThingIndex, Verdict, compared_words, thing_index
@@ -60,7 +57,6 @@ from scoup.query.votes import level_thresholds, select_by_relevancy
 
 __all__ = [
     "COMPARISON_FILES",
-    "LEAST_GAUSSIANS",
     "Answer",
     "AnswerFiles",
     "Certainty",
@@ -76,7 +72,6 @@ __all__ = [
     "Place",
     "PointSets",
     "Question",
-    "Refined",
     "Reshaping",
     "Several",
     "Shares",
@@ -88,7 +83,6 @@ __all__ = [
     "Verdict",
     "ViewAnswer",
     "answers_of",
-    "best_camera",
     "build",
     "catalog_files",
     "certainty",
@@ -107,10 +101,8 @@ __all__ = [
     "label_files",
     "labels_of",
     "level_thresholds",
-    "literal",
     "make_question",
     "mask_box",
-    "moving_cameras",
     "named_things",
     "near_names",
     "numbered_things",

@@ -154,8 +154,11 @@ def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion,
     return turntable(closer, place.position, up, count)
 
 
-def heat_frames(field: Field, place: Place, cameras: Cameras) -> Iterator[Picture]:
-    """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each."""
+def heat_frames(
+    field: Field, place: Place, cameras: Cameras, motion: Motion, count: int
+) -> Iterator[Picture]:
+    """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each, from
+    ``moving_cameras``."""
     answer = place.answer
     asked, level = answer.asked, answer.asked.level
     known = field.gaussian_relevancy(asked.query, asked.canonical)[level, 0][
@@ -164,7 +167,7 @@ def heat_frames(field: Field, place: Place, cameras: Cameras) -> Iterator[Pictur
     span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
     low = span[0]
     remark = f"level {answer.level}, {answer.remark()}"
-    for camera in cameras:
+    for camera in moving_cameras(field, place, cameras, motion, count):
         view = FieldView(field, camera)
         heat = view.relevancy(asked.query, asked.canonical)[level, 0].cpu()
         rgb = view.renders.colors().cpu()
