@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base import counted, staged, unique_slugs
+from scoup.base import counted, staged
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Names, OptionalPath, arg, titled
 from scoup.cli.query_options import (
@@ -67,7 +67,7 @@ class Label:
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query import Expression, label_files, labels_of, save_label_views, save_labels
+        from scoup.query import Expression, GaussianLabels, LabelFiles
 
         words = self._words()
         out = output_folder(self.out, self.field, "labels")
@@ -78,17 +78,14 @@ class Label:
         frame = self.directions.frame(field)
         question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.
-        stems = unique_slugs(camera.stem for camera in cameras)
-        files = label_files(words, outputs, stems)
-        with staged(out, files, self.common.overwrite) as hidden, console.progress() as progress:
+        files = LabelFiles(words, outputs, cameras)
+        with staged(out, files.names, self.common.overwrite) as hidden, console.progress() as progress:
             answers = field.answer(question)
-            labels = labels_of(field, answers)
-            save_labels(field, labels, hidden, outputs, self.opening.gaussians)
-            views = dict(zip(stems, cameras, strict=True))
-            blind = save_label_views(field, labels, views, hidden, outputs, progress)
-            if views:
-                self.view.check_seen(self.field, blind, len(views))
-        _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
+            labels = GaussianLabels.of(field, answers)
+            blind = files.write(field, labels, hidden, self.opening.gaussians, progress)
+            if cameras:
+                self.view.check_seen(self.field, blind, len(cameras))
+        _report(console, labels, answers, out, [name for name in files.names if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
         """Return the words of the command line and of the list, each once."""

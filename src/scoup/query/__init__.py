@@ -12,19 +12,16 @@ from scoup.query.catalog_writing import catalog_files, draw_things, save_catalog
 from scoup.query.compare_files import COMPARISON_FILES, save_comparison
 from scoup.query.comparison import compare
 from scoup.query.drawing import (
-    Draw,
-    code_drawing,
-    color_drawing,
+    drawing,
     heat_frames,
     placed_atoms,
-    relevancy_drawing,
 )
 from scoup.query.edits import SplatTable, edit_picture, edited
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
-from scoup.query.label_writing import label_files, save_label_views, save_labels
-from scoup.query.labels import GaussianLabels, labels_of
+from scoup.query.label_writing import LabelFiles
+from scoup.query.labels import GaussianLabels
 from scoup.query.language_field import LanguageField, build
 from scoup.query.named import Named, find_named
 from scoup.query.phrases import texts_of
@@ -60,12 +57,12 @@ __all__ = [
     "Answer",
     "AnswerFiles",
     "Certainty",
-    "Draw",
     "Expression",
     "ExpressionAnswer",
     "FieldView",
     "Frame",
     "GaussianLabels",
+    "LabelFiles",
     "LanguageField",
     "Named",
     "OrientedBox",
@@ -87,19 +84,16 @@ __all__ = [
     "catalog_files",
     "certainty",
     "check_encoder",
-    "code_drawing",
-    "color_drawing",
     "compare",
     "compared_words",
     "draw_things",
+    "drawing",
     "edit_picture",
     "edited",
     "encode_texts",
     "find_named",
     "find_objects",
     "heat_frames",
-    "label_files",
-    "labels_of",
     "level_thresholds",
     "make_question",
     "mask_box",
@@ -112,11 +106,8 @@ __all__ = [
     "presence_threshold",
     "refine",
     "related_pairs",
-    "relevancy_drawing",
     "save_catalog",
     "save_comparison",
-    "save_label_views",
-    "save_labels",
     "select_by_relevancy",
     "text_scores",
     "texts_of",

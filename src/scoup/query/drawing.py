@@ -41,13 +41,26 @@ LEGEND_ATOMS = 20  # whose colours a code picture lists, if there is room
 LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[FieldView], Picture]
-"""A function that draws one view."""
 Motion = Literal["path", "turntable"]
 SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
+def drawing(
+    field: Field,
+    what: Literal["color", "codes", "relevancy"],
+    level: str | int | None = None,
+    question: Question | None = None,
+    plain: bool = False,
+) -> Draw:
+    """Return a function that draws a view: the splat, the codes of a level (by default the middle one), or the
+    relevancy to a question's first text; ``plain``, here and below: without title and legend."""
+    if what == "codes":
+        return code_drawing(field, len(field.levels) // 2 if level is None else level, plain)
+    return color_drawing(plain) if question is None else relevancy_drawing(field, question, plain)
+
+
 def color_drawing(plain: bool = False) -> Draw:
-    """Return a function that draws the splat; ``plain``, here and below: without title and legend."""
+    """Return a function that draws the splat."""
 
     def draw(view: FieldView) -> Picture:
         picture = as_picture(view.renders.colors())
@@ -195,4 +208,4 @@ def _preview(field: Field) -> Picture | None:
         view = FieldView(field, 0, min(1.0, PREVIEW[0] / field.cameras[0].width))
     except InputError:  # the geometry was moved; show the facts alone
         return None
-    return code_drawing(field, len(field.levels) // 2, plain=True)(view)
+    return drawing(field, "codes", plain=True)(view)

@@ -12,7 +12,7 @@ from scoup import raster
 from scoup.base import InputError, counted
 from scoup.field import Field, relevancy
 from scoup.pictures import Picture, as_picture, heat_overlay, texts_overlay
-from scoup.query import Answer, FieldView, PointSets, TextVectors, code_drawing
+from scoup.query import Answer, FieldView, PointSets, TextVectors, drawing
 from scoup.scene import Camera, signed
 
 Colors: TypeAlias = Sequence[tuple[float, float, float]]
@@ -54,7 +54,7 @@ def draw_picture(
     if answers and len(colors) != len(answers):
         raise InputError(f"expected {len(answers)} colors, got {len(colors)}")
     if mode == "codes":
-        return code_drawing(view.field, len(view.field.levels) // 2 if level is None else level, True)(view)
+        return drawing(view.field, "codes", level, plain=True)(view)
     n_pixels = view.camera.width * view.camera.height
     if mode != "color" and n_pixels * (len(answers) + 4) > MOST_FOR_TEXTS:
         texts = counted(len(answers), "text")
