@@ -108,15 +108,14 @@ class Label:
 def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
-    from scoup.query import ExpressionAnswer, numbered_things
+    from scoup.query import ExpressionAnswer
 
     record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
-        things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        summary = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
+        summary = f"{counted(one['gaussians'], 'Gaussian')}{answer.numbered()}{seen}"
         console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:

@@ -8,8 +8,9 @@ from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.catalog_writing import catalog_files, draw_things, save_catalog, thing_mask
-from scoup.query.compare_files import COMPARISON_FILES, save_comparison
+from scoup.query.catalog import related_objects
+from scoup.query.catalog_writing import draw_things, save_catalog, thing_mask
+from scoup.query.compare_files import save_comparison
 from scoup.query.comparison import compare
 from scoup.query.drawing import (
     drawing,
@@ -25,11 +26,10 @@ from scoup.query.labels import GaussianLabels
 from scoup.query.language_field import LanguageField, build
 from scoup.query.named import Named, find_named
 from scoup.query.phrases import texts_of
-from scoup.query.place import Place, numbered_things
+from scoup.query.place import Place
 from scoup.query.presence import (
     Certainty,
     TextScore,
-    certainty,
     presence_threshold,
     text_scores,
 )
@@ -44,16 +44,14 @@ from scoup.query.question import (
     warn_of_another_model,
 )
 from scoup.query.refinement import refine
-from scoup.query.relations import overlaps, related_pairs
 from scoup.query.select import Reshaping
 from scoup.query.thing_judge import Shares, ThingIndex, Verdict, compared_words, thing_index
-from scoup.query.thing_names import find_objects, named_things
+from scoup.query.thing_names import named_things
 from scoup.query.things import Thing, things_of_table
 from scoup.query.view_answer import ViewAnswer, mask_box
 from scoup.query.votes import level_thresholds, select_by_relevancy
 
 __all__ = [
-    "COMPARISON_FILES",
     "Answer",
     "AnswerFiles",
     "Certainty",
@@ -81,8 +79,6 @@ __all__ = [
     "ViewAnswer",
     "answers_of",
     "build",
-    "catalog_files",
-    "certainty",
     "check_encoder",
     "compare",
     "compared_words",
@@ -92,20 +88,17 @@ __all__ = [
     "edited",
     "encode_texts",
     "find_named",
-    "find_objects",
     "heat_frames",
     "level_thresholds",
     "make_question",
     "mask_box",
     "named_things",
     "near_names",
-    "numbered_things",
-    "overlaps",
     "parse_expression",
     "placed_atoms",
     "presence_threshold",
     "refine",
-    "related_pairs",
+    "related_objects",
     "save_catalog",
     "save_comparison",
     "select_by_relevancy",
