@@ -61,8 +61,8 @@ from scoup.models import Encoder, TextEncoder
 from scoup.query import (
     LanguageField,
     OrientedBox,
+    Question,
     check_encoder,
-    encode_texts,
     thing_index,
     things_of_table,
     warn_of_another_model,
@@ -209,7 +209,7 @@ class Archive:
         about, file = self._check_model(field), file_of(self.folder, name)
         encoder = self.text_encoder(field)
         check_encoder(field, encoder)
-        index = thing_index(field, encode_texts(encoder, []))
+        index = thing_index(field, Question.encoded(encoder, []))
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
         table = field.thing_table.to("cpu")
