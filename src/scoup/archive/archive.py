@@ -61,9 +61,7 @@ from scoup.models import Encoder, TextEncoder
 from scoup.query import (
     LanguageField,
     OrientedBox,
-    Question,
-    check_encoder,
-    thing_index,
+    ThingIndex,
     things_of_table,
     warn_of_another_model,
 )
@@ -208,8 +206,7 @@ class Archive:
             )
         about, file = self._check_model(field), file_of(self.folder, name)
         encoder = self.text_encoder(field)
-        check_encoder(field, encoder)
-        index = thing_index(field, Question.encoded(encoder, []))
+        index = ThingIndex.of_field(field, encoder)
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
         table = field.thing_table.to("cpu")

@@ -8,7 +8,14 @@ from typing import Annotated
 from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, OptionalNumber, OptionalPath, titled
-from scoup.cli.query_options import FrameOptions, TextOptions, WordOptions, check_metres, output_folder
+from scoup.cli.query_options import (
+    FrameOptions,
+    TextOptions,
+    WordOptions,
+    check_metres,
+    output_folder,
+    read_words,
+)
 
 SHOWN = 12  # things printed; the files contain all
 
@@ -32,7 +39,6 @@ class MakeCatalog:
     def run(self, console: Console) -> None:
         """Name, relate and write."""
         from scoup.query import save_catalog
-        from scoup.view import read_words
 
         check_metres(self.metres_per_unit)
         out = output_folder(self.out, self.field, "catalog")

@@ -11,7 +11,14 @@ import tyro
 from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, OptionalNumber, OptionalPath, arg, titled
-from scoup.cli.query_options import FieldOptions, TextOptions, WordOptions, check_metres, output_folder
+from scoup.cli.query_options import (
+    FieldOptions,
+    TextOptions,
+    WordOptions,
+    check_metres,
+    output_folder,
+    read_words,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +53,6 @@ class CompareCaptures:
         """Compare and write."""
         from scoup.io import read_similarity
         from scoup.query import compare, save_comparison
-        from scoup.view import read_words
 
         opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)

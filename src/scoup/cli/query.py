@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         LanguageField,
         Place,
         Question,
-        Several,
         ViewAnswer,
     )
     from scoup.scene import Camera
@@ -171,7 +170,7 @@ class Query:
     def _write_views(
         self,
         field: LanguageField,
-        question: Question[Several],
+        question: Question[tuple[str, ...]],
         cameras: Iterable[Camera],
         files: AnswerFiles,
         hidden: Path,

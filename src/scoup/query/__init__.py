@@ -12,11 +12,7 @@ from scoup.query.catalog import related_objects
 from scoup.query.catalog_writing import draw_things, save_catalog, thing_mask
 from scoup.query.compare_files import save_comparison
 from scoup.query.comparison import compare
-from scoup.query.drawing import (
-    drawing,
-    heat_frames,
-    placed_atoms,
-)
+from scoup.query.drawing import drawing, heat_frames, placed_atoms
 from scoup.query.edits import SplatTable, edit_picture, edited
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
@@ -27,16 +23,10 @@ from scoup.query.language_field import LanguageField, build
 from scoup.query.phrases import texts_of
 from scoup.query.place import Place
 from scoup.query.presence import Certainty
-from scoup.query.question import (
-    Question,
-    Several,
-    TextVectors,
-    check_encoder,
-    warn_of_another_model,
-)
+from scoup.query.question import Question, TextVectors, warn_of_another_model
 from scoup.query.refinement import refine
 from scoup.query.select import Reshaping
-from scoup.query.thing_judge import AskedThings, ThingIndex, thing_index
+from scoup.query.thing_judge import AskedThings, ThingIndex
 from scoup.query.thing_names import named_things
 from scoup.query.things import Thing, things_of_table
 from scoup.query.view_answer import ViewAnswer, mask_box
@@ -59,7 +49,6 @@ __all__ = [
     "PointSets",
     "Question",
     "Reshaping",
-    "Several",
     "SplatTable",
     "TextVectors",
     "Thing",
@@ -68,7 +57,6 @@ __all__ = [
     "answers_of",
     "asked_things",
     "build",
-    "check_encoder",
     "compare",
     "draw_things",
     "drawing",
@@ -86,7 +74,6 @@ __all__ = [
     "save_comparison",
     "select_by_relevancy",
     "texts_of",
-    "thing_index",
     "thing_mask",
     "things_of_table",
     "warn_of_another_model",

@@ -30,7 +30,7 @@ from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things
 from scoup.query.named import Named, find_named, joined
 from scoup.query.presence import TextScore, is_present, text_scores
-from scoup.query.question import Question, TextVectors, near_names
+from scoup.query.question import Question, TextVectors, check_encoder, near_names
 
 NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
 _ARRAYS = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
@@ -105,13 +105,16 @@ class ThingIndex:
         )
 
     @classmethod
+    def of_field(cls, field: Field, encoder: TextEncoder) -> ThingIndex | None:
+        """Return ``thing_index`` with the everyday words of an encoder, which must fit (``check_encoder``)."""
+        check_encoder(field, encoder)
+        return thing_index(field, Question.encoded(encoder, []))
+
+    @classmethod
     def from_arrays(cls, arrays: Mapping[str, Tensor], vectors: Tensor, words: Tensor) -> ThingIndex:
         """Return the index of one scene from its ``arrays``, vectors [T, D] and words [B, D]."""
-        parts, shares = (
-            {name: arrays[name] for name in _ARRAYS},
-            Shares(*(arrays[name] for name in Shares._fields)),
-        )
-        return cls(words, (vectors,), shares=shares, known_best_fits=parts.pop("best_fits"), **parts)
+        parts, shares = {name: arrays[name] for name in _ARRAYS}, map(arrays.__getitem__, Shares._fields)
+        return cls(words, (vectors,), shares=Shares(*shares), known_best_fits=parts.pop("best_fits"), **parts)
 
     def arrays(self) -> dict[str, Tensor]:
         """Return all but vectors and words."""
@@ -278,9 +281,8 @@ class AskedThings:
         named: dict[int, list[Named | None]] = {}
         for scene, names in self.names.items():
             near = near_names(names, self.encoder, self.question, self.encode)
-            named[scene] = find_named(
-                names, len(self.index.vectors[scene]), replace(self.question, near=near)
-            )
+            count = len(self.index.vectors[scene])
+            named[scene] = find_named(names, count, replace(self.question, near=near))
         texts = range(len(self.question.texts))
         return [{scene: name for scene, of in named.items() if (name := of[text])} for text in texts]
 
