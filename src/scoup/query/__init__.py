@@ -7,9 +7,9 @@ beside them. A question changes nothing.
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, asked_things
-from scoup.query.boxes import OrientedBox, PointSets
+from scoup.query.boxes import OrientedBox
 from scoup.query.catalog import related_objects
-from scoup.query.catalog_writing import draw_things, save_catalog, thing_mask
+from scoup.query.catalog_writing import draw_things, save_catalog
 from scoup.query.compare_files import save_comparison
 from scoup.query.comparison import compare
 from scoup.query.drawing import drawing, heat_frames, placed_atoms
@@ -46,7 +46,6 @@ __all__ = [
     "LanguageField",
     "OrientedBox",
     "Place",
-    "PointSets",
     "Question",
     "Reshaping",
     "SplatTable",
@@ -74,7 +73,6 @@ __all__ = [
     "save_comparison",
     "select_by_relevancy",
     "texts_of",
-    "thing_mask",
     "things_of_table",
     "warn_of_another_model",
 ]

@@ -26,7 +26,6 @@ GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pic
 MARGIN = 0.35  # around a thing in its picture, in units of its size
 _FORMULAS = (*"=+-@\t\r\n", *"＝＋－＠")
 SIDE = 240  # pixels of the longer side of a picture
-COVERED = 0.5  # share of a pixel's light from which it shows a thing
 
 
 def save_catalog(
@@ -95,7 +94,7 @@ def draw_things(
             if view is None or view.camera is not camera:
                 view = FieldView(field, camera)
                 colors = as_picture(view.renders.colors().cpu())
-            mask = thing_mask(view, thing)
+            mask = view.mask_of(thing.gaussians)
             if (window := crop_window(mask)) is not None:
                 yield thing, cropped(colors, window, mask)
                 break
@@ -112,14 +111,6 @@ def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
         size = (near.width, near.height)
         chosen.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))
     return chosen
-
-
-def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
-    """Return the pixels [H, W] boolean, on the CPU, that a thing contributes most of."""
-    members = torch.zeros(len(view.field), dtype=torch.bool)
-    members[thing.gaussians] = True
-    share, alpha = view.shares(members)
-    return (share > COVERED * alpha.clamp(min=0.1)).cpu()
 
 
 def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:

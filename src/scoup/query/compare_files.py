@@ -20,7 +20,6 @@ from scoup.query.catalog_writing import (
     crop_window,
     cropped,
     in_words,
-    thing_mask,
     viewing_cameras,
 )
 from scoup.query.comparison import KINDS, Array, Change, Comparison, scale_of
@@ -100,7 +99,7 @@ def _pictures(
             continue
         for camera in viewing_cameras(thing, list(field.cameras or ())):
             view = FieldView(field, camera)
-            mask = thing_mask(view, thing)
+            mask = view.mask_of(thing.gaussians)
             window = crop_window(mask)
             if window is None:
                 continue

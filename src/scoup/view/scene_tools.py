@@ -20,7 +20,6 @@ from scoup.query import (
     Thing,
     named_things,
     related_objects,
-    thing_mask,
 )
 from scoup.scene import Cameras
 
@@ -175,7 +174,7 @@ class SceneTools:
         seen = field.at(view)
         picture = as_picture(seen.renders.colors().cpu())
         for index, thing in enumerate(marked):
-            mask = thing_mask(seen, thing)
+            mask = seen.mask_of(thing.gaussians)
             if bool(mask.any()):
                 color = _COLORS[index % len(_COLORS)]
                 drawn = mask_overlay(mask, picture, color=color)
