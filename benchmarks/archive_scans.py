@@ -24,7 +24,7 @@ from benchmarks.real_scenes import ABSENT, FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS
 from scoup.field import NO_THING, ThingTable
 from scoup.models import CANONICAL_PHRASES
-from scoup.query import OrientedBox, ThingIndex, encode_texts, thing_index, things_of_table
+from scoup.query import OrientedBox, ThingIndex, things_of_table
 from scoup.query import Thing as ThingOfField
 from scoup.query.thing_judge import shares_of
 from scoup_lab.synthetic.art.things import Thing
@@ -118,7 +118,7 @@ class World:
         encoder, scans = RealScene.open("table-real", data).encoder, []
         for layout, art in LAYOUTS.items():
             field = RealScene.open(f"{layout}-real", data).field()
-            table, index = field.thing_table, thing_index(field, encode_texts(encoder, []))
+            table, index = field.thing_table, ThingIndex.of_field(field, encoder)
             assert table is not None
             assert index is not None
             boxes = _boxes((self.meanings[layout].get(each.name), each) for each in art.things())

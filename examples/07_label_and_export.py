@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import scoup
-from scoup.query import save_label_views, save_labels
+from scoup.query import LabelFiles
 
 if len(sys.argv) < 5:
     sys.exit(__doc__)
@@ -16,9 +16,7 @@ field = scoup.LanguageField.load(path, words=words)
 labels = field.label(names)
 print(labels)
 outputs = ("sidecar", "ids", "glb", "clouds", "maps", "sheet")
-save_labels(field, labels, Path(out), outputs)
-cameras = {camera.stem: camera for camera in field.cameras or ()}
-save_label_views(field, labels, cameras, Path(out), outputs)
+LabelFiles(labels.names, outputs, list(field.cameras or ())).write(field, labels, Path(out))
 for file in sorted(Path(out).rglob("*")):
     if file.is_file():
         print(file.relative_to(out))

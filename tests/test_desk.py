@@ -10,7 +10,6 @@ from benchmarks.things import FACTS, VIEWER
 
 import scoup
 from cli_support import run
-from scoup.query import thing_mask
 from scoup.query.phrases import Phrase, parse_phrase
 from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
@@ -68,7 +67,7 @@ def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: st
     overlaps = []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
-        found = thing_mask(field.at(camera), best)
+        found = field.at(camera).mask_of(best.gaussians)
         overlaps.append(float((found & truth).sum() / (found | truth).sum()))
     assert np.mean(overlaps) > 0.5, overlaps
 

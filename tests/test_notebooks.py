@@ -15,7 +15,7 @@ from tools.run_notebooks import FOLDER, LEFT_OUT, executed
 
 from cli_support import RUN
 from scoup.base import ScoupError
-from scoup.view import page_files
+from scoup.view.page import page_files
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 MOST_BYTES = 700_000

@@ -31,8 +31,8 @@ from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field import NameTable
 from scoup.models import open_image_model, save_table
-from scoup.query import LanguageField, ThingIndex, constants, thing_index
-from scoup.query.thing_judge import shares_of
+from scoup.query import LanguageField, ThingIndex, constants
+from scoup.query.thing_judge import shares_of, thing_index
 from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")

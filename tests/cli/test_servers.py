@@ -52,14 +52,14 @@ def test_export_prints_sizes() -> None:
 
 def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     built = page.page_files
-    monkeypatch.setattr("scoup.view.page_files", lambda: built(tmp_path))
+    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: built(tmp_path))
     assert "tools/build_viewer.py" in refused("view", "f.scoup")
 
 
 SERVE = f"""
 import scoup.view
 from scoup.view import page, viewer
-scoup.view.page_files = viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
+viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
 from scoup.cli.app import entry
 entry()
 """

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.scenes.yard import YARD
 
 from cli_support import QUICK, refused, run, run_json
-from scoup import view
-from scoup.view import export, page_files
+from scoup.view import export, viewer
+from scoup.view.page import page_files
 from scoup_lab.evaluate.demonstration import rows_by_name, run_demo
 from scoup_lab.evaluate.demonstration_sheet import query_sheet
 from scoup_lab.synthetic import EMBEDDING_MODEL
@@ -26,7 +26,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     """The folder of a demo, which nobody writes into, and what the command printed."""
     out = tmp_path_factory.mktemp("demonstration") / "demo"
     with pytest.MonkeyPatch.context() as patch:
-        for module in (view, export):  # whether or not the page is built here
+        for module in (viewer, export):  # whether or not the page is built here
             patch.setattr(module, "page_files", lambda: PAGE)
         return out, run_json("demo", "--out", out, *TINY)
 
@@ -55,7 +55,7 @@ def test_the_folder_of_the_demo_can_be_built_and_queried(
 def test_without_its_page_the_demo_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scoup.view.page_files", lambda: page_files(tmp_path))
+    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: page_files(tmp_path))
     least = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2)
     code, printed, err = run("demo", "--out", tmp_path / "demo", *least)
     assert (code, err) == (0, "")

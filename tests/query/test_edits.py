@@ -97,7 +97,7 @@ def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
     mask = torch.ones(len(field), dtype=torch.bool)
     chosen = best_camera(field, mask, [away, *field.cameras])
     assert chosen.name != "away.png"
-    picture = edit_picture(field, edited(field.gaussians, mask, "remove"), mask, chosen, "everything")
+    picture = edit_picture(field, edited(field.gaussians, mask, "remove"), mask, [chosen], "everything")
     middle, third = picture.shape[0] // 2, picture.shape[1] // 3
     before = picture[middle : middle + 40, 16 : third - 16]
     after = picture[middle : middle + 40, 2 * third + 16 : 3 * third - 16]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
-from scoup.query.label_writing import label_files, labelled_colors, save_label_views, save_labels
+from scoup.query.label_writing import LabelFiles, labelled_colors
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map
 from scoup.scene import SH_C0, estimate_up
 
@@ -56,11 +57,10 @@ def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianL
 
 
 def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
-    cameras = {"first": queried.camera}
-    save_labels(queried.field, labels, tmp_path, ALL)
-    assert save_label_views(queried.field, labels, cameras, tmp_path, ALL) == []
+    files = LabelFiles(labels.names, ALL, [replace(queried.camera, name="first.png")])
+    assert files.write(queried.field, labels, tmp_path) == []
     found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert found == set(label_files(labels.names, ALL, list(cameras)))
+    assert found == set(files.names)
     ids = np.load(tmp_path / "labels.npy", allow_pickle=False)
     assert ids.dtype == np.int32
     assert ids.tolist() == labels.ids.tolist()
@@ -98,7 +98,7 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
     )
     scene: Queried = request.getfixturevalue(asked)
     labels = scene.field.label(scene.texts)
-    save_labels(scene.field, labels, tmp_path, ("usd",))
+    LabelFiles(labels.names, ("usd",)).write(scene.field, labels, tmp_path)
     stage = Usd.Stage.Open(str(tmp_path / "labels.usdc"))
     checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
     assert [error.GetMessage() for error in checks.Validate(stage)] == []
@@ -132,7 +132,7 @@ def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
     rows = torch.arange(len(queried.field)).int()
     facts = (None, None), (True, True), ("m", "m"), ((0,), (0,))
     labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)
-    save_labels(queried.field, labels, tmp_path, ("usd",))
+    LabelFiles(labels.names, ("usd",)).write(queried.field, labels, tmp_path)
     stage = usd.Stage.Open(str(tmp_path / "labels.usdc"))
     prims = stage.GetDefaultPrim().GetChildren()
     beyond = len(queried.field.thing_table or ())
@@ -141,7 +141,7 @@ def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
 
 def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
     shown = labelled_colors(queried.field.gaussians, labels)
-    save_labels(queried.field, labels, tmp_path, ("colors",))
+    LabelFiles(labels.names, ("colors",)).write(queried.field, labels, tmp_path)
     assert torch.allclose(read_ply(tmp_path / "colored.ply").sh, shown.sh, atol=1e-6)
     assert shown.means.equal(queried.field.gaussians.means)
     rgb = shown.sh[:, 0] * SH_C0 + 0.5

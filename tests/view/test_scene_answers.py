@@ -17,6 +17,7 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 
 from messages import refuses
 from scoup.base import UnknownNameError
+from scoup.cli.query_options import read_words
 from scoup.field import NO_THING, ThingTable
 from scoup.field.thing_table import TENSORS
 from scoup.models import everyday_vocabulary
@@ -25,7 +26,7 @@ from scoup.query.answer_scene import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import read_words, words_data
+from scoup.view.vocabulary import words_data
 from support import altered
 
 

@@ -22,7 +22,8 @@ from scoup.archive import Archive, archive_tool
 from scoup.base import InputError, ScoupError
 from scoup.field import read_facts
 from scoup.io import load_gaussians
-from scoup.query import LanguageField, overlaps
+from scoup.query import LanguageField
+from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 from scoup.view.viewed_field import ViewedField
 

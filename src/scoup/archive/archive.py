@@ -55,16 +55,13 @@ from scoup.base import (
     rounded_vector,
     write_text,
 )
-from scoup.field import place_of, relative_place
+from scoup.field import LEAST_GAUSSIANS, place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
 from scoup.query import (
-    LEAST_GAUSSIANS,
     LanguageField,
     OrientedBox,
-    check_encoder,
-    encode_texts,
-    thing_index,
+    ThingIndex,
     things_of_table,
     warn_of_another_model,
 )
@@ -209,8 +206,7 @@ class Archive:
             )
         about, file = self._check_model(field), file_of(self.folder, name)
         encoder = self.text_encoder(field)
-        check_encoder(field, encoder)
-        index = thing_index(field, encode_texts(encoder, []))
+        index = ThingIndex.of_field(field, encoder)
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
         table = field.thing_table.to("cpu")

@@ -31,7 +31,7 @@ from scoup.base import (
     refuse_pointer,
 )
 from scoup.field import NO_THING, NameTable, ThingTable, place_of
-from scoup.query import OrientedBox, Shares, Thing, ThingIndex
+from scoup.query import OrientedBox, Thing, ThingIndex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -65,7 +65,6 @@ _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent"
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
 _PLAIN = {"field": str, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
-_OF_INDEX = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
 _OF_NAMES = ("presence", "rows", "things", "votes")
 
 
@@ -82,7 +81,7 @@ class Scan:
     words: str  # digest of the everyday words that its things were compared with
     texts: tuple[str, ...]  # that a model with words looked for
     arrays: Mapping[str, Tensor]
-    """Those of ``ThingIndex``, of ``Shares`` and of ``NameTable``, and ``placed``, [T] boolean: things with a place."""
+    """Those of ``ThingIndex.arrays`` and of ``NameTable``, and ``placed``, [T] boolean: things with a place."""
 
     def __len__(self) -> int:
         return len(self.arrays["levels"])
@@ -104,15 +103,13 @@ class Scan:
 
     def index(self, vectors: Tensor, words: Tensor, digest: str) -> ThingIndex:
         """Return its things with their vectors [T, D], compared with words of a digest; "" if any will do."""
-        parts = {name: self.arrays[name] for name in _OF_INDEX}
-        shares = Shares(*map(self.arrays.__getitem__, Shares._fields))
-        known = ThingIndex(words, (vectors,), shares=shares, known_best_fits=parts.pop("best_fits"), **parts)
+        known = ThingIndex.from_arrays(self.arrays, vectors, words)
         return known if digest in (self.words, "") else known.with_words(words)
 
 
 def arrays_of(index: ThingIndex, names: NameTable | None, placed: Tensor) -> dict[str, Tensor]:
     """Return the arrays of a scan."""
-    arrays = {name: getattr(index, name) for name in _OF_INDEX} | index.shares._asdict() | {"placed": placed}
+    arrays = index.arrays() | {"placed": placed}
     return arrays | ({} if names is None else {name: getattr(names, name) for name in _OF_NAMES})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
@@ -18,23 +18,14 @@ from scoup.base import InputError, MissingFileError
 from scoup.field import NameTable, ThingTable
 from scoup.models import TextEncoder
 from scoup.query import (
+    AskedThings,
     Expression,
     LanguageField,
-    Named,
     Question,
-    TextScore,
     ThingIndex,
-    Verdict,
-    compared_words,
-    encode_texts,
-    find_named,
-    make_question,
-    near_names,
+    asked_things,
     parse_expression,
-    presence_threshold,
-    text_scores,
     texts_of,
-    things_of_question,
 )
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
@@ -78,20 +69,9 @@ class Search:
             raise InputError(
                 f"{text}: does not name what is looked for; ask a single field for everything there"
             )
-        vectors = encode_texts(encoder, expression.texts)
-        least = presence_threshold(len(vectors.everyday), source, present_from)
-        question = Question.from_vectors(vectors.with_everyday(), present_from=least)
-        words = compared_words(question)
+        question = Question.encoded(encoder, expression.texts, source, present_from)
+        words = question.compared
         return cls(expression, question, encoder, encode, words, words_digest(words))
-
-    def named(self, scan: Scan) -> list[Named | None]:
-        """Return for each text its ``Named`` in a scan; None without one."""
-        names = scan.names
-        if names is None:
-            return [None] * len(self.question.texts)
-        given = [names.texts[row] for row in names.rows.unique()]
-        near = near_names(names.texts, given, self.encoder, self.question, self.encode)
-        return find_named(names, len(scan), replace(self.question, near=near))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,26 +83,10 @@ class AskedScans:
     index: ThingIndex
 
     @cached_property
-    def _fits(self) -> Tensor:
-        return self.index.fits(self.search.question.queries)
-
-    @cached_property
-    def _named(self) -> list[dict[int, Named]]:
-        """For each text, by scan."""
-        named = {scene: self.search.named(scan) for scene, scan in enumerate(self.scans) if scan.texts}
-        texts = range(len(self.search.question.texts))
-        return [{scene: name for scene, of in named.items() if (name := of[text])} for text in texts]
-
-    @cached_property
-    def _scores(self) -> dict[str, TextScore]:
-        scores = text_scores(self.search.question, self.index.best_fits, self._named)
-        return dict(zip(self.search.question.texts, scores, strict=True))
-
-    @cached_property
-    def _verdicts(self) -> dict[str, list[Verdict]]:
-        """For each text, of the scans."""
-        verdicts = self.index.judge(self.search.question, self._named, self._fits)
-        return dict(zip(self.search.question.texts, verdicts, strict=True))
+    def _asked(self) -> AskedThings:
+        search = self.search
+        names = {scene: scan.names for scene, scan in enumerate(self.scans) if scan.names is not None}
+        return AskedThings(self.index, search.question, names, search.encoder, search.encode)
 
     def _of_text(self, values: Tensor, text: str) -> Tensor:
         return values[:, self.search.question.texts.index(text)]
@@ -134,7 +98,7 @@ class AskedScans:
         All scans are one batch, or each is one where its field has to be asked: then the function may raise an
         UnaskedScanError, as the field is gone or has changed.
         """
-        expression, verdicts = self.search.expression, self._verdicts
+        expression, verdicts = self.search.expression, self._asked.verdicts
         targets = expression.leaves(True)
         if expression.is_plain:
             yield math.inf, lambda: self.ranked_things(
@@ -158,8 +122,8 @@ class AskedScans:
         for text in dict.fromkeys(first.values()):
             keys = [key for key, own_text in first.items() if own_text == text]
             rows = [self.index.starts[scene] + thing for scene, thing in keys]
-            fits = self._of_text(self._fits, text)[rows].tolist()
-            scores = self._scores[text].each(fits, *zip(*keys, strict=True))
+            fits = self._of_text(self._asked.fits, text)[rows].tolist()
+            scores = self._asked.scores[text].each(fits, *zip(*keys, strict=True))
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for key, score, rank in zip(keys, scores, ranks, strict=True):
                 ranked[key] = Found(*key, text, score, rank)
@@ -168,7 +132,7 @@ class AskedScans:
 
     @cached_property
     def _leads(self) -> Tensor:
-        return self.index.leads(self._fits)
+        return self.index.leads(self._asked.fits)
 
     def _best_ranks(self, text: str) -> list[float]:
         """Return an upper bound of the ranks of the things of each scan, for a text."""
@@ -177,9 +141,11 @@ class AskedScans:
             np.maximum.reduceat(
                 torch.where(usable, self._of_text(values, text), -torch.inf).numpy(), self.index.starts[:-1]
             )
-            for values in (self._fits, self._leads)
+            for values in (self._asked.fits, self._leads)
         )
-        return rank_of(self._scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads))
+        return rank_of(
+            self._asked.scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads)
+        )
 
     def _of_field(self, scene: int) -> list[tuple[int, int, str]]:
         """Ask the field itself for the things that answer phrases, which need shapes to be compared."""
@@ -191,9 +157,7 @@ class AskedScans:
             ):
                 problem = f"the field of scan {scan.name} has changed: {scan.field_path}"
                 raise UnaskedScanError(f"{problem}; add it again")
-            least = search.question.present_from
-            question = make_question(field, search.encoder, search.expression, least is None, least)
-            things = things_of_question(field, question)
+            things = asked_things(field, search.encoder, search.expression, search.question.present_from)
         except MissingFileError as error:
             missing = "field" if error.path == scan.field_path else "splat"
             problem = f"the {missing} of scan {scan.name} is gone: {error.path}"

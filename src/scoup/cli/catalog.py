@@ -5,10 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from scoup.base import counted, staged
+from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, OptionalNumber, OptionalPath, titled
-from scoup.cli.query_options import FrameOptions, TextOptions, WordOptions, check_metres, output_folder
+from scoup.cli.query_options import (
+    FrameOptions,
+    TextOptions,
+    WordOptions,
+    check_metres,
+    output_folder,
+    read_words,
+)
 
 SHOWN = 12  # things printed; the files contain all
 
@@ -31,8 +38,7 @@ class MakeCatalog:
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
-        from scoup.query import catalog_files, save_catalog
-        from scoup.view import read_words
+        from scoup.query import save_catalog
 
         check_metres(self.metres_per_unit)
         out = output_folder(self.out, self.field, "catalog")
@@ -41,9 +47,9 @@ class MakeCatalog:
         field.encoder.close()  # models are large
         catalog = field.catalog(question, self.directions.frame(field))
         cameras = list(field.cameras or ())
-        files = catalog_files(catalog, cameras)
-        with staged(out, files, self.common.overwrite) as hidden, console.progress() as progress:
-            save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
+        unit, overwrite = self.metres_per_unit, self.common.overwrite
+        with console.progress() as progress:
+            files = save_catalog(field, catalog, out, cameras, unit, overwrite, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:
             console.say(
@@ -53,4 +59,4 @@ class MakeCatalog:
         relations = counted(len(catalog.relations), "relation")
         objects, things = counted(len(catalog.objects), "object"), counted(len(catalog.things), "thing")
         console.say(f"{out}: {things}{shown}, {objects}, {relations}")
-        console.result({"out": out, "files": files, **catalog.to_dict(self.metres_per_unit)})
+        console.result({"out": out, "files": files, **catalog.to_dict(unit)})

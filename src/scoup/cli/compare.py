@@ -8,10 +8,17 @@ from typing import Annotated
 
 import tyro
 
-from scoup.base import counted, staged
+from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, OptionalNumber, OptionalPath, arg, titled
-from scoup.cli.query_options import FieldOptions, TextOptions, WordOptions, check_metres, output_folder
+from scoup.cli.query_options import (
+    FieldOptions,
+    TextOptions,
+    WordOptions,
+    check_metres,
+    output_folder,
+    read_words,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +52,7 @@ class CompareCaptures:
     def run(self, console: Console) -> None:
         """Compare and write."""
         from scoup.io import read_similarity
-        from scoup.query import COMPARISON_FILES, compare, save_comparison
-        from scoup.view import read_words
+        from scoup.query import compare, save_comparison
 
         opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)
@@ -57,8 +63,9 @@ class CompareCaptures:
         new = new.with_encoder(old.encoder)
         comparison = compare(old, new, read_words(self.words.words), transform)
         old.encoder.close()
-        with staged(out, COMPARISON_FILES, self.common.overwrite) as hidden, console.progress() as progress:
-            save_comparison(old, new, comparison, hidden, self.metres_per_unit, progress)
+        unit, overwrite = self.metres_per_unit, self.common.overwrite
+        with console.progress() as progress:
+            files = save_comparison(old, new, comparison, out, unit, overwrite, progress)
         for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None
@@ -69,4 +76,4 @@ class CompareCaptures:
         console.say(
             f"{out}: {counted(changed, 'change')} among {comparison.counts[0]} and {comparison.counts[1]} objects"
         )
-        console.result({"out": out, "files": COMPARISON_FILES, **comparison.to_dict(self.metres_per_unit)})
+        console.result({"out": out, "files": files, **comparison.to_dict(unit)})

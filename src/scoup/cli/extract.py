@@ -22,6 +22,7 @@ from scoup.cli.options import (
     arg,
     titled,
 )
+from scoup.cli.query_options import read_words
 
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
@@ -235,7 +236,6 @@ class Extract:
 
     def _words(self) -> tuple[str, ...]:
         from scoup.models import EVERYDAY_WORDS
-        from scoup.view import read_words
 
         if self.words.concepts is None:
             return ()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base import counted, staged, unique_slugs
+from scoup.base import counted, staged
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Names, OptionalPath, arg, titled
 from scoup.cli.query_options import (
@@ -19,6 +19,7 @@ from scoup.cli.query_options import (
     TextOptions,
     check_texts,
     output_folder,
+    read_words,
 )
 
 if TYPE_CHECKING:
@@ -67,33 +68,28 @@ class Label:
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query import label_files, labels_of, literal, save_label_views, save_labels
+        from scoup.query import Expression, GaussianLabels, LabelFiles
 
         words = self._words()
         out = output_folder(self.out, self.field, "labels")
         field = self.opening.open(self.field, self.common.device)
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
-        asked: list[Any] = [*dict.fromkeys(self.texts), *literal(words[len(set(self.texts)) :])]
+        asked: list[Any] = [*dict.fromkeys(self.texts), *map(Expression, words[len(set(self.texts)) :])]
         frame = self.directions.frame(field)
         question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.
-        stems = unique_slugs(camera.stem for camera in cameras)
-        files = label_files(words, outputs, stems)
-        with staged(out, files, self.common.overwrite) as hidden, console.progress() as progress:
+        files = LabelFiles(words, outputs, cameras)
+        with staged(out, files.names, self.common.overwrite) as hidden, console.progress() as progress:
             answers = field.answer(question)
-            labels = labels_of(field, answers)
-            save_labels(field, labels, hidden, outputs, self.opening.gaussians)
-            views = dict(zip(stems, cameras, strict=True))
-            blind = save_label_views(field, labels, views, hidden, outputs, progress)
-            if views:
-                self.view.check_seen(self.field, blind, len(views))
-        _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
+            labels = GaussianLabels.of(field, answers)
+            blind = files.write(field, labels, hidden, self.opening.gaussians, progress)
+            if cameras:
+                self.view.check_seen(self.field, blind, len(cameras))
+        _report(console, labels, answers, out, [name for name in files.names if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
         """Return the words of the command line and of the list, each once."""
-        from scoup.view import read_words
-
         words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)
         return words
@@ -111,15 +107,14 @@ class Label:
 def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
-    from scoup.query import ExpressionAnswer, numbered_things
+    from scoup.query import ExpressionAnswer
 
     record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
-        things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        summary = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
+        summary = f"{counted(one['gaussians'], 'Gaussian')}{answer.numbered()}{seen}"
         console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:

@@ -21,7 +21,7 @@ from scoup.cli.options import (
     arg,
     check_number,
 )
-from scoup.cli.query_options import check_metres
+from scoup.cli.query_options import check_metres, read_words
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class ServeAgents:
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.view import SceneTools, make_server, read_words, serve
+        from scoup.view import SceneTools, make_server, serve
 
         self._check_options()
         words = read_words(self.words)
@@ -70,15 +70,10 @@ class ServeAgents:
             archive.text_encoder()  # as the fields'
             more = [archive_tool(archive)]
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit, words), more)
-        stopped = None
         try:
-            if self.http is not None:
-                from scoup.view import serve_http
-
-                serve_http(server, self.http, partial(_announce, console))
-            else:
+            if self.http is None:
                 console.warn(f"serving {', '.join(fields)} over standard input and output")
-                stopped = serve(server)
+            stopped = serve(server, self.http, partial(_announce, console))
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
         return 143 if stopped == signal.SIGTERM else 0
@@ -96,7 +91,7 @@ class ServeAgents:
 
     def _open_fields(self, words: tuple[str, ...]) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
-        from scoup.query import LanguageField, literal
+        from scoup.query import Expression, LanguageField
 
         fields = {}
         for path in self.fields:
@@ -104,7 +99,7 @@ class ServeAgents:
             len(field.gaussians)
             field.encoder.names  # noqa: B018 - opened now
             if words:
-                field.question(literal(words))
+                field.question([Expression(word) for word in words])
             fields[path.stem] = field
         return fields
 

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
         LanguageField,
         Place,
         Question,
-        Refined,
-        Several,
         ViewAnswer,
     )
     from scoup.scene import Camera
@@ -105,8 +103,7 @@ class Query:
         check_outputs(out, [RECORD], self.common.overwrite)
         field = self.opening.open(self.field, self.common.device)
         cameras = self.view.open_cameras(field, self.field)
-        refined = self._refine(console, field)
-        field = field if refined is None else refined.field
+        field, refined = self._refine(console, field)
         question = self.opening.question(
             field, self.texts, frame=self.directions.frame(field), **self.answer.rules()
         )
@@ -127,7 +124,7 @@ class Query:
             if self.longest_side is not None:
                 result["metres_per_unit"] = metres_per_unit
             if refined is not None:
-                result["refined"] = refined.to_dict()
+                result["refined"] = refined
             if self.video != "none":
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
@@ -143,19 +140,19 @@ class Query:
         if self.video != "none":
             check_video_writer()
 
-    def _refine(self, console: Console, field: LanguageField) -> Refined | None:
-        """Name things with a model, where one is given."""
+    def _refine(self, console: Console, field: LanguageField) -> tuple[LanguageField, dict[str, Any] | None]:
+        """Name things with a model, where one is given; return the field, and what was done as JSON values."""
         from scoup.io import load_cameras
         from scoup.query import refine
 
         if self.detector.refine is None:
-            return None
+            return field, None
         cameras = None
         if self.view.scene is not None:
             cameras = load_cameras(self.view.scene, distorted="undistort", missing_images="keep")
         refined = refine(field, self.texts, self.detector.refine, cameras)
         console.say(refined.describe())
-        return refined
+        return refined.field, refined.to_dict()
 
     def _metres_per_unit(self, place: Place) -> float | None:
         """Return the length of the scene's unit in metres, as passed or from the longest side of a thing."""
@@ -173,7 +170,7 @@ class Query:
     def _write_views(
         self,
         field: LanguageField,
-        question: Question[Several],
+        question: Question[tuple[str, ...]],
         cameras: Iterable[Camera],
         files: AnswerFiles,
         hidden: Path,
@@ -208,7 +205,7 @@ class Query:
     ) -> list[str]:
         """Write the requested videos; return their names."""
         from scoup.pictures import save_video
-        from scoup.query import heat_frames, moving_cameras
+        from scoup.query import heat_frames
 
         if self.video == "none":
             return []
@@ -217,9 +214,8 @@ class Query:
         for name, place in zip(self._video_names(), places, strict=True):
             if self.video == "turntable" and place.position is None:
                 continue
-            moving = moving_cameras(field, place, everywhere, self.video, FRAMES)
-            frames = heat_frames(field, place, moving)
-            save_video(reported(frames, "video", len(moving), progress), hidden / name, FRAMES_PER_SECOND)
+            frames = heat_frames(field, place, everywhere, self.video, FRAMES)
+            save_video(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
             written.append(name)
         return written
 

@@ -13,7 +13,6 @@ from scoup.cli.query_options import CameraOptions, TextOptions, output_folder
 
 if TYPE_CHECKING:
     from scoup.pictures import Picture
-    from scoup.query import Draw, LanguageField
     from scoup.scene import Camera
 
 ANIMATIONS = (".webp", ".gif")
@@ -51,6 +50,7 @@ class Render:
         """Render each camera asked for."""
         from scoup.io import save_png
         from scoup.pictures import save_animation
+        from scoup.query import drawing
 
         kind = "" if self.out is None else self.out.suffix.lower()
         animation = kind in ANIMATIONS
@@ -58,7 +58,8 @@ class Render:
         self._check_options()
         out = self.out if self.out and one_file else output_folder(self.out, self.field, self.what)
         field = self.opening.open(self.field, self.common.device)
-        draw = self._drawing(field)
+        asked = None if self.query is None else self.opening.question(field, [self.query], always=True)
+        draw = drawing(field, self.what, self.level, asked, self.plain)
         cameras = self._scaled(self.view.open_cameras(field, self.field))
         _check_one_file(out, cameras)
         folder = out.parent if one_file else out
@@ -95,17 +96,6 @@ class Render:
                 f"--scale {self.scale}: must be at most {LONGEST_SIDE / longest:.3g} for these cameras"
             )
         return [camera.scaled(self.scale) for camera in cameras] if self.scale != 1 else cameras
-
-    def _drawing(self, field: LanguageField) -> Draw:
-        from scoup.query import code_drawing, color_drawing, relevancy_drawing
-
-        if self.what == "codes":
-            return code_drawing(
-                field, len(field.levels) // 2 if self.level is None else self.level, self.plain
-            )
-        if self.query is None:
-            return color_drawing(self.plain)
-        return relevancy_drawing(field, self.opening.question(field, [self.query], always=True), self.plain)
 
 
 def _check_one_file(out: Path, cameras: list[Camera]) -> None:

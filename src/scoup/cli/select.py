@@ -197,14 +197,13 @@ class Select:
     def _draw(self, field: LanguageField, whole: ExpressionAnswer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
         from scoup.io import save_png
-        from scoup.query import best_camera, edit_picture
+        from scoup.query import edit_picture
 
         if self.picture is None:
             return
-        camera = best_camera(field, whole.mask, self.view.open_cameras(field, self.field, "all"))
-        save_png(
-            edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.common.overwrite
-        )
+        cameras = self.view.open_cameras(field, self.field, "all")
+        picture = edit_picture(field, left, whole.mask, cameras, whole.text)
+        save_png(picture, self.picture, self.common.overwrite)
 
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from scoup.base import InputError, counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalInteger, OptionalPath, check_number, titled
-from scoup.cli.query_options import TextOptions
+from scoup.cli.query_options import TextOptions, read_words
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
@@ -84,16 +84,14 @@ class View:
         check_number("--port", self.server.port, 0, 65535)
         if split and export is None:
             raise InputError("--split belongs to --export; pass both or neither")
-        if export is None:
-            check_needed()
-        elif not split and export.suffix.lower() not in (".html", ".htm"):
+        if export is not None and not split and export.suffix.lower() not in (".html", ".htm"):
             raise InputError(f"{export}: expected a name that ends in .html; for a folder, pass --split")
+        check_needed(export is None)
 
     def _viewed(self, console: Console) -> ViewedField:
         """Return the field with its encoder; say why, if no text can be asked."""
-        from scoup.view import ViewedField, page_files, read_words
+        from scoup.view import ViewedField
 
-        page_files()  # before anything that takes long
         field, page = self.opening.open(self.field, self.common.device), self.page
         viewed = ViewedField(field, read_words(page.words), page.most)
         if viewed.words_problem is not None:
@@ -117,12 +115,12 @@ class View:
 
     def _serve(self, console: Console) -> int:
         """Serve until the process is interrupted or terminated: both are the usual end."""
-        from scoup.view import Viewer, is_loopback
+        from scoup.view import Viewer
 
         viewed, host = self._viewed(console), self.server.host
         try:
             with Viewer(viewed, host, self.server.port, self.page.remote) as viewer:
-                if not is_loopback(host):
+                if not viewer.is_local:
                     console.warn(
                         f"{host}: other machines can reach this page; whoever has the address can ask the field "
                         "and download its Gaussians; the connection is not encrypted"

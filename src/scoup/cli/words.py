@@ -8,6 +8,7 @@ from pathlib import Path
 from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command
 from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath
+from scoup.cli.query_options import read_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,6 @@ class MakeWords:
             is_table,
             save_table,
         )
-        from scoup.view import read_words
 
         check_table_name(self.out)
         check_output(self.out, self.common.overwrite)

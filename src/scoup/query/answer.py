@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
-from scoup.base import card, listed
+from scoup.base import card, listed, verb
 from scoup.field import Field
 from scoup.query.expression import Expression
 from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
@@ -79,6 +79,11 @@ class Answer:
     def certainty(self) -> Certainty | None:
         """The score in words: sure, likely, doubtful, not here."""
         return certainty(self.score, self.presence)
+
+    def numbered(self) -> str:
+        """Return the numbers of its things for a sentence, after a comma: ", things 3, 5"; "" without things."""
+        numbers = ", ".join(map(str, self.things))
+        return numbers and f", {verb(len(self.things), 'thing', 'things')} {numbers}"
 
     def remark(self) -> str:
         """Return score and certainty in a few words."""

@@ -16,12 +16,13 @@ import torch
 from torch import Tensor
 
 from scoup.field import Field
+from scoup.models import TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_scene import each_answer
 from scoup.query.expression import Expression, Operation
 from scoup.query.frame import scene_frame
 from scoup.query.phrases import Phrase, texts_of
-from scoup.query.question import Question
+from scoup.query.question import Question, make_question
 from scoup.query.relations import overlaps, resolve
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, best_part, things_of_answer
@@ -52,6 +53,11 @@ def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:
 def things_of_question(field: Field, question: Question[Any]) -> list[Thing]:
     """Return the things that a question singles out, each once, best first."""
     return _once(thing for answer in answers_of(field, question) for thing in things_of_answer(field, answer))
+
+
+def asked_things(field: Field, encoder: TextEncoder, texts: Any, present_from: float | None) -> list[Thing]:
+    """Return the things that texts single out; without a least score, presence is not judged."""
+    return things_of_question(field, make_question(field, encoder, texts, present_from is None, present_from))
 
 
 @dataclass(frozen=True, eq=False)

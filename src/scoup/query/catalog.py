@@ -12,7 +12,7 @@ from scoup.base import InputError, card
 from scoup.field import Field
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.question import Question
-from scoup.query.relations import relations
+from scoup.query.relations import overlaps, related_pairs, relations
 from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
 
@@ -75,6 +75,17 @@ def make_catalog(field: Field, question: Question[Any], frame: Frame | None = No
     texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
     objects = tuple(thing.number or 0 for thing in find_objects(field, named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
+
+
+def related_objects(
+    field: Field, things: Sequence[Thing], one: Thing | None = None
+) -> tuple[list[Thing], list[tuple[int, str, int]]]:
+    """Return the objects among all things, named, and which are on or inside others (``related_pairs``); ``one`` is an
+    object in place of those that overlap it."""
+    objects = find_objects(field, things)
+    if one is not None:
+        objects = [one, *(thing for thing in objects if not overlaps(thing, one))]
+    return objects, [*related_pairs(field, objects, scene_frame(field))]
 
 
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:

@@ -14,12 +14,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from scoup.base import InputError, Progress, html, no_progress, write_text
+from scoup.base import InputError, Progress, html, no_progress, staged, write_text
 from scoup.field import Field
 from scoup.pictures import Picture, as_picture, mask_overlay
 from scoup.query.catalog import Catalog, catalog_rows
 from scoup.query.field_view import FieldView
-from scoup.query.presence import certainty
 from scoup.query.things import Thing
 from scoup.scene import Camera
 
@@ -27,13 +26,6 @@ GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pic
 MARGIN = 0.35  # around a thing in its picture, in units of its size
 _FORMULAS = (*"=+-@\t\r\n", *"＝＋－＠")
 SIDE = 240  # pixels of the longer side of a picture
-COVERED = 0.5  # share of a pixel's light from which it shows a thing
-
-
-def catalog_files(catalog: Catalog, cameras: Sequence[Camera]) -> list[str]:
-    """Return the names of all files, within their folder; pictures only where there are cameras."""
-    pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
-    return [GRAPH, TABLE, PAGE, *pictures]
 
 
 def save_catalog(
@@ -42,36 +34,42 @@ def save_catalog(
     folder: Path,
     cameras: Sequence[Camera] = (),
     metres_per_unit: float | None = None,
+    overwrite: bool = False,
     progress: Progress = no_progress,
-) -> None:
-    """Write the files of a catalogue into an empty folder.
+) -> list[str]:
+    """Write the files of a catalogue into a folder; return their names, with those of pictures if there are cameras.
 
     Args:
         field: of the catalogue.
         catalog: from ``field.catalog``.
-        folder: that exists.
+        folder: made if it is missing.
         cameras: each thing is drawn in the one that sees it largest, if any sees it.
         metres_per_unit: length of the scene's unit; the table is in metres then, and the graph has metres, too.
+        overwrite: replace existing files.
         progress: called for the stage "pictures".
     """
-    graph = json.dumps(catalog.to_dict(metres_per_unit), indent=1, allow_nan=False)
-    write_text(folder / GRAPH, graph + "\n")
-    rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog, metres_per_unit)]
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    write_text(folder / TABLE, text.getvalue())
-    drawn = set[int | None]()
-    if cameras:
-        (folder / PICTURES).mkdir()
-        progress("pictures", 0, len(catalog.things))
-    for thing, picture in draw_things(field, catalog.things, cameras):
-        Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
-        drawn.add(thing.number)
-        progress("pictures", len(drawn), len(catalog.things))
-    if cameras:
-        progress("pictures", len(catalog.things), len(catalog.things))
-    title = field.path.name if field.path else "scene"
-    write_text(folder / PAGE, _page(catalog, drawn, title, metres_per_unit))
+    pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
+    files = [GRAPH, TABLE, PAGE, *pictures]
+    with staged(folder, files, overwrite) as hidden:
+        graph = json.dumps(catalog.to_dict(metres_per_unit), indent=1, allow_nan=False)
+        write_text(hidden / GRAPH, graph + "\n")
+        rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog, metres_per_unit)]
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        write_text(hidden / TABLE, text.getvalue())
+        drawn = set[int | None]()
+        if cameras:
+            (hidden / PICTURES).mkdir()
+            progress("pictures", 0, len(catalog.things))
+        for thing, picture in draw_things(field, catalog.things, cameras):
+            Image.fromarray(picture).save(hidden / _picture_name(thing), quality=85)
+            drawn.add(thing.number)
+            progress("pictures", len(drawn), len(catalog.things))
+        if cameras:
+            progress("pictures", len(catalog.things), len(catalog.things))
+        title = field.path.name if field.path else "scene"
+        write_text(hidden / PAGE, _page(catalog, drawn, title, metres_per_unit))
+    return files
 
 
 def _disarmed(cell: Any) -> Any:
@@ -96,7 +94,7 @@ def draw_things(
             if view is None or view.camera is not camera:
                 view = FieldView(field, camera)
                 colors = as_picture(view.renders.colors().cpu())
-            mask = thing_mask(view, thing)
+            mask = view.mask_of(thing.gaussians)
             if (window := crop_window(mask)) is not None:
                 yield thing, cropped(colors, window, mask)
                 break
@@ -113,14 +111,6 @@ def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
         size = (near.width, near.height)
         chosen.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))
     return chosen
-
-
-def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
-    """Return the pixels [H, W] boolean, on the CPU, that a thing contributes most of."""
-    members = torch.zeros(len(view.field), dtype=torch.bool)
-    members[thing.gaussians] = True
-    share, alpha = view.shares(members)
-    return (share > COVERED * alpha.clamp(min=0.1)).cpu()
 
 
 def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
@@ -220,7 +210,7 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
             related.append(f"in {whole}")
         alternatives = [f"or {', '.join(names[1:])}"] if names[1:] else []
         size = in_words(thing.box.extent.tolist(), metres_per_unit)
-        facts = [certainty(thing.score, True) or "", *alternatives, size, ", ".join(related)]
+        facts = [thing.certainty or "", *alternatives, size, ", ".join(related)]
         pictures = {"": _picture_name(thing)} if thing.number in drawn else {}
         cards[thing.number not in objects].append(Card(thing, thing.score or 0, facts, pictures))
     sections = {"": cards[0], f"Parts, groups and fragments ({len(cards[1])})": cards[1]}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from scoup.base import Progress, counted, no_progress, write_text
+from scoup.base import Progress, counted, no_progress, staged, write_text
 from scoup.field import Field
 from scoup.pictures import Picture, as_picture
 from scoup.query.catalog_writing import (
@@ -20,7 +20,6 @@ from scoup.query.catalog_writing import (
     crop_window,
     cropped,
     in_words,
-    thing_mask,
     viewing_cameras,
 )
 from scoup.query.comparison import KINDS, Array, Change, Comparison, scale_of
@@ -28,8 +27,6 @@ from scoup.query.field_view import FieldView
 from scoup.scene import Camera
 
 RECORD = "compare.json"
-COMPARISON_FILES = (RECORD, PAGE)
-"""Names of the files of a comparison, that of the record first."""
 SIDES = ("old", "new")
 TITLES: dict[str, str] = {
     **{kind: kind.capitalize() for kind in KINDS},
@@ -43,31 +40,36 @@ def save_comparison(
     comparison: Comparison,
     folder: Path,
     metres_per_unit: float | None = None,
+    overwrite: bool = False,
     progress: Progress = no_progress,
-) -> None:
-    """Write the files of a comparison of two fields into an empty folder.
+) -> list[str]:
+    """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures.
 
     Args:
         metres_per_unit: length of the old capture's unit.
+        overwrite: replace existing files.
         progress: called for the stage "pictures".
     """
-    record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)
-    write_text(folder / RECORD, record + "\n")
-    (folder / PICTURES).mkdir()
-    cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
-    for number, change in enumerate(comparison.changes):
-        progress("pictures", number, len(comparison.changes))
-        names = {}
-        for side, picture in _pictures(old, new, change, comparison):
-            names[side] = f"{PICTURES}/{number:04d}_{side}.jpg"
-            Image.fromarray(picture).save(folder / names[side], quality=85)
-        cards[change.kind].append(_card(change, names, comparison.lengths(metres_per_unit)))
-    progress("pictures", len(comparison.changes), len(comparison.changes))
-    heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
-    count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
-    sections = {f"{title} ({len(cards[kind])})": cards[kind] for kind, title in TITLES.items()}
-    content = cards_page(f"Changes between {heading}", count, sections, pairs=True)
-    write_text(folder / PAGE, content)
+    files = [RECORD, PAGE]
+    with staged(folder, files, overwrite) as hidden:
+        record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)
+        write_text(hidden / RECORD, record + "\n")
+        (hidden / PICTURES).mkdir()
+        cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
+        for number, change in enumerate(comparison.changes):
+            progress("pictures", number, len(comparison.changes))
+            names = {}
+            for side, picture in _pictures(old, new, change, comparison):
+                names[side] = f"{PICTURES}/{number:04d}_{side}.jpg"
+                Image.fromarray(picture).save(hidden / names[side], quality=85)
+            cards[change.kind].append(_card(change, names, comparison.lengths(metres_per_unit)))
+        progress("pictures", len(comparison.changes), len(comparison.changes))
+        heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
+        count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
+        sections = {f"{title} ({len(cards[kind])})": cards[kind] for kind, title in TITLES.items()}
+        content = cards_page(f"Changes between {heading}", count, sections, pairs=True)
+        write_text(hidden / PAGE, content)
+    return files
 
 
 def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> Card:
@@ -97,7 +99,7 @@ def _pictures(
             continue
         for camera in viewing_cameras(thing, list(field.cameras or ())):
             view = FieldView(field, camera)
-            mask = thing_mask(view, thing)
+            mask = view.mask_of(thing.gaussians)
             window = crop_window(mask)
             if window is None:
                 continue

@@ -41,13 +41,26 @@ LEGEND_ATOMS = 20  # whose colours a code picture lists, if there is room
 LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[FieldView], Picture]
-"""A function that draws one view."""
 Motion = Literal["path", "turntable"]
 SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
+def drawing(
+    field: Field,
+    what: Literal["color", "codes", "relevancy"],
+    level: str | int | None = None,
+    question: Question | None = None,
+    plain: bool = False,
+) -> Draw:
+    """Return a function that draws a view: the splat, the codes of a level (by default the middle one), or the
+    relevancy to a question's first text; ``plain``, here and below: without title and legend."""
+    if what == "codes":
+        return code_drawing(field, len(field.levels) // 2 if level is None else level, plain)
+    return color_drawing(plain) if question is None else relevancy_drawing(field, question, plain)
+
+
 def color_drawing(plain: bool = False) -> Draw:
-    """Return a function that draws the splat; ``plain``, here and below: without title and legend."""
+    """Return a function that draws the splat."""
 
     def draw(view: FieldView) -> Picture:
         picture = as_picture(view.renders.colors())
@@ -154,8 +167,11 @@ def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion,
     return turntable(closer, place.position, up, count)
 
 
-def heat_frames(field: Field, place: Place, cameras: Cameras) -> Iterator[Picture]:
-    """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each."""
+def heat_frames(
+    field: Field, place: Place, cameras: Cameras, motion: Motion, count: int
+) -> Iterator[Picture]:
+    """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each, from
+    ``moving_cameras``."""
     answer = place.answer
     asked, level = answer.asked, answer.asked.level
     known = field.gaussian_relevancy(asked.query, asked.canonical)[level, 0][
@@ -164,7 +180,7 @@ def heat_frames(field: Field, place: Place, cameras: Cameras) -> Iterator[Pictur
     span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
     low = span[0]
     remark = f"level {answer.level}, {answer.remark()}"
-    for camera in cameras:
+    for camera in moving_cameras(field, place, cameras, motion, count):
         view = FieldView(field, camera)
         heat = view.relevancy(asked.query, asked.canonical)[level, 0].cpu()
         rgb = view.renders.colors().cpu()
@@ -192,4 +208,4 @@ def _preview(field: Field) -> Picture | None:
         view = FieldView(field, 0, min(1.0, PREVIEW[0] / field.cameras[0].width))
     except InputError:  # the geometry was moved; show the facts alone
         return None
-    return code_drawing(field, len(field.levels) // 2, plain=True)(view)
+    return drawing(field, "codes", plain=True)(view)

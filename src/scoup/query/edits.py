@@ -67,8 +67,11 @@ def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
     return (rgb.new_tensor(color) * share).clamp(0, 1)
 
 
-def edit_picture(field: Field, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
-    """Draw before, selection [N] boolean and after beside each other, [H, W, 3] uint8."""
+def edit_picture(
+    field: Field, after: Gaussians, mask: Tensor, cameras: Sequence[Camera], title: str
+) -> Picture:
+    """Draw before, selection [N] boolean and after beside each other in the ``best_camera``, [H, W, 3] uint8."""
+    camera = best_camera(field, mask, cameras)
     view = FieldView(field, camera)
     before = view.renders.colors().cpu()
     inside = view.shares(mask)[0].cpu() > COVERED

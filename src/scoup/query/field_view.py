@@ -21,10 +21,12 @@ from scoup.field import (
 )
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
+from scoup.query.boxes import PointSets
 from scoup.query.question import AskedText
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
 from scoup.scene import Camera
 
+COVERED = 0.5  # share of a pixel's light from which it shows a thing
 BYTES_PER_PIXEL = 8
 """A view keeps so many bytes per pixel and level of what its next question reuses."""
 
@@ -113,6 +115,25 @@ class FieldView:
         members = mask.float()[:, None].to(self.field.codebook.device)
         image, alpha = raster.render_channels(self.projection, members)
         return image[..., 0], alpha
+
+    def mask_of(self, gaussians: Tensor) -> Tensor:
+        """Return the pixels [H, W] boolean, on the CPU, that the Gaussians [M] of a thing contribute most of."""
+        members = torch.zeros(len(self.field), dtype=torch.bool)
+        members[gaussians] = True
+        share, alpha = self.shares(members)
+        return (share > COVERED * alpha.clamp(min=0.1)).cpu()
+
+    def position_at(self, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor) -> Tensor:
+        """Return [3] float64: the point of a pixel's ray at the median depth of the weight of some Gaussians."""
+        camera, means = self.camera, self.field.gaussians.means
+        means = means[gaussians.to(means.device)].double().cpu()
+        depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        depth = PointSets.of_one_thing(depths[:, None], weights).medians().item()
+        x, y = pixel[0] + 0.5, pixel[1] + 0.5
+        ray = torch.tensor(
+            [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0], dtype=torch.float64
+        )
+        return camera.position + depth * (camera.viewmat[:3, :3].T @ ray)
 
     def is_visible(self) -> bool:
         """Return whether a Gaussian with a code contributes to any pixel."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -39,109 +39,100 @@ PROPERTY, INSTANCE = "label", "thing"
 GREY = 0.35  # of Gaussians without a word
 
 
-def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[str]) -> list[str]:
-    """Return the names of all files of some outputs (``LabelOutput``), within their folder.
+class LabelFiles:
+    """The files of labels, for other programs.
 
     Args:
-        words: of the labels.
-        views: names of the label maps, without extension.
+        words: of the labels, each once.
+        outputs: which of ``LabelOutput`` are wanted.
+        cameras: of "maps" and "sheet"; a sheet alone takes some of them.
     """
-    clouds = [f"{CLOUDS}/{name}.ply" for name in unique_slugs([*words, NONE_NAME])]
-    of = {
-        "sidecar": list(SIDECAR),
-        "ids": [IDS],
-        "colors": [COLORS],
-        "glb": [GLB],
-        "usd": [USD],
-        "clouds": clouds,
-        "maps": [COCO, *(f"{MAPS}/{view}.png" for view in views)],
-        "sheet": [SHEET],
-    }
-    return [name for output in outputs for name in of[output]]
 
+    def __init__(self, words: Sequence[str], outputs: Sequence[str], cameras: Sequence[Camera] = ()) -> None:
+        names = [*words, NONE_NAME]
+        self._clouds = {
+            name: f"{CLOUDS}/{slug}.ply" for name, slug in zip(names, unique_slugs(names), strict=True)
+        }
+        self._maps = [f"{MAPS}/{slug}.png" for slug in unique_slugs(camera.stem for camera in cameras)]
+        self._outputs, self._cameras = outputs, cameras
+        of = {
+            "sidecar": list(SIDECAR),
+            "ids": [IDS],
+            "colors": [COLORS],
+            "glb": [GLB],
+            "usd": [USD],
+            "clouds": [*self._clouds.values()],
+            "maps": [COCO, *self._maps],
+            "sheet": [SHEET],
+        }
+        # Of all files, within their folder.
+        self.names = [name for output in outputs for name in of[output]]
 
-def save_labels(
-    field: Field,
-    labels: GaussianLabels,
-    folder: Path,
-    outputs: Sequence[str],
-    geometry: Path | None = None,
-) -> None:
-    """Write all outputs (``LabelOutput``) except "maps" and "sheet" into an empty folder.
+    def write(
+        self,
+        field: Field,
+        labels: GaussianLabels,
+        folder: Path,
+        geometry: Path | None = None,
+        progress: Progress = no_progress,
+    ) -> list[Camera]:
+        """Write the files into an empty folder; return the cameras that see no coded Gaussian.
 
-    Args:
-        field: that was labelled, with its geometry.
-        labels: of its Gaussians.
-        folder: created if missing.
-        outputs: others are ignored.
-        geometry: file of the splat; by default the one the field names.
-    """
-    gaussians = field.gaussians.to("cpu")
-    folder.mkdir(parents=True, exist_ok=True)
-    if "sidecar" in outputs:
-        with atomic_file(folder / SIDECAR[0]) as stream:
-            np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
-        write_text(folder / SIDECAR[1], json.dumps(labels.to_dict(), indent=1) + "\n")
-    if "ids" in outputs:
-        rows = SplatTable.of(field, geometry)
-        for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
-            rows = replace(rows, table=rows.with_column(name, numbers, NONE))
-        write_ply_table(rows.table, folder / IDS)
-    if "colors" in outputs:
-        write_ply(labelled_colors(gaussians, labels), folder / COLORS)
-    if "glb" in outputs:
-        from scoup.io import GaussianFeatures, write_gltf
+        Args:
+            field: that was labelled, with its geometry.
+            labels: of its Gaussians.
+            folder: created if missing.
+            geometry: file of the splat; by default the one the field names.
+            progress: called after each view.
+        """
+        gaussians, outputs = field.gaussians.to("cpu"), self._outputs
+        folder.mkdir(parents=True, exist_ok=True)
+        if "sidecar" in outputs:
+            with atomic_file(folder / SIDECAR[0]) as stream:
+                np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
+            write_text(folder / SIDECAR[1], json.dumps(labels.to_dict(), indent=1) + "\n")
+        if "ids" in outputs:
+            rows = SplatTable.of(field, geometry)
+            for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
+                rows = replace(rows, table=rows.with_column(name, numbers, NONE))
+            write_ply_table(rows.table, folder / IDS)
+        if "colors" in outputs:
+            write_ply(labelled_colors(gaussians, labels), folder / COLORS)
+        if "glb" in outputs:
+            from scoup.io import GaussianFeatures, write_gltf
 
-        write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names))
-    if "usd" in outputs:
-        write_usd(gaussians, folder / USD, things=usd_things(field, labels))
-    if "clouds" in outputs:
-        names = [*labels.names, NONE_NAME]
-        for name, file in zip(names, unique_slugs(names), strict=True):
-            write_ply_table(point_cloud(gaussians.select(labels.mask(name))), folder / CLOUDS / f"{file}.ply")
+            write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names))
+        if "usd" in outputs:
+            write_usd(gaussians, folder / USD, things=usd_things(field, labels))
+        for name, file in self._clouds.items() if "clouds" in outputs else ():
+            write_ply_table(point_cloud(gaussians.select(labels.mask(name))), folder / file)
+        return self._write_views(field, labels, folder, progress)
 
-
-def save_label_views(
-    field: Field,
-    labels: GaussianLabels,
-    cameras: Mapping[str, Camera],
-    folder: Path,
-    outputs: Sequence[str],
-    progress: Progress = no_progress,
-) -> list[Camera]:
-    """Write the outputs "maps" and "sheet", if they are among ``outputs``.
-
-    Args:
-        field, labels, outputs: as for ``save_labels``.
-        cameras: of the views, by the names of their maps without extension; a sheet alone takes some of them.
-        folder: to write into.
-        progress: called after each view.
-
-    Returns:
-        The cameras that see no coded Gaussian.
-    """
-    maps, colors = "maps" in outputs, label_colors(len(labels.names))
-    on_sheet = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
-    wanted = [name for name in cameras if maps or name in on_sheet]
-    coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
-    for done, name in enumerate(wanted, start=1):
-        camera = cameras[name]
-        view = FieldView(field, camera)
-        if not view.is_visible():
-            blind.append(camera)
-        numbers = label_map(view, labels)
+    def _write_views(
+        self, field: Field, labels: GaussianLabels, folder: Path, progress: Progress
+    ) -> list[Camera]:
+        maps, colors, cameras = "maps" in self._outputs, label_colors(len(labels.names)), self._cameras
+        on_sheet = set(spread(range(len(cameras)), MOST_VIEWS)) if "sheet" in self._outputs else set()
+        wanted = [number for number in range(len(cameras)) if maps or number in on_sheet]
+        coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
+        for done, number in enumerate(wanted, start=1):
+            camera = cameras[number]
+            view = FieldView(field, camera)
+            if not view.is_visible():
+                blind.append(camera)
+            words = label_map(view, labels)
+            if maps:
+                save_label_png(words, colors, folder / self._maps[number])
+                masks = [(words == word).numpy() for word in range(len(labels.names))]
+                coco.add(camera.name, (camera.width, camera.height), masks)
+            if number in on_sheet:
+                sheet[camera.name] = region_overlay(words, view.renders.colors().cpu())
+            progress("label maps", done, len(wanted))
         if maps:
-            save_label_png(numbers, colors, folder / MAPS / f"{name}.png")
-            masks = [(numbers == number).numpy() for number in range(len(labels.names))]
-            coco.add(camera.name, (camera.width, camera.height), masks)
-        if name in on_sheet:
-            sheet[camera.name] = region_overlay(numbers, view.renders.colors().cpu())
-        progress("label maps", done, len(wanted))
-    if maps:
-        coco.write(folder / COCO)
-    if on_sheet:
-        save_png(label_sheet(labels, sheet), folder / SHEET)
-    return blind
+            coco.write(folder / COCO)
+        if on_sheet:
+            save_png(label_sheet(labels, sheet), folder / SHEET)
+        return blind
 
 
 def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:

@@ -52,6 +52,40 @@ class GaussianLabels:
     instances: Tensor
     """[N] int32, which of these things it belongs to; -1 without a word, and where the votes answer."""
 
+    @classmethod
+    def of(cls, field: Field, answers: Sequence[Answer]) -> GaussianLabels:
+        """Return the word that fits each Gaussian best, or "none", from the answers to the words; repeated words count
+        once.
+
+        A word applies to the Gaussians that answer it. Of several words for one Gaussian, the one answered by the
+        finest level counts, for the name of a part says more than that of its whole; of words of one level the one with
+        the largest score.
+        """
+        of_name: dict[str, Answer] = {}
+        for answer in answers:
+            of_name.setdefault(answer.text, answer)
+        names, answers = tuple(of_name), [*of_name.values()]
+        if NONE_NAME in names:
+            raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")
+        ids = labels_of_answers(answers, field.levels)
+        instances = torch.full_like(ids, NO_THING)
+        for number, answer in enumerate(answers):
+            if answer.things and field.thing_table is not None:
+                owners = field.thing_table.owners.cpu()
+                inside = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
+                instances = torch.where(
+                    ids == number, torch.where(inside, owners, NO_THING).amax(1), instances
+                )
+        return cls(
+            ids,
+            names,
+            tuple(answer.score for answer in answers),
+            tuple(answer.presence for answer in answers),
+            tuple(answer.level for answer in answers),
+            tuple(answer.things for answer in answers),
+            instances,
+        )
+
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
         return f"GaussianLabels({len(self.ids):,} Gaussians; {counts})"
@@ -94,38 +128,6 @@ class GaussianLabels:
         ]
         none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
         return {"gaussians": len(self.ids), "classes": classes, "none": none}
-
-
-def labels_of(field: Field, answers: Sequence[Answer]) -> GaussianLabels:
-    """Return the word that fits each Gaussian best, or "none", from the answers to the words; repeated words count
-    once.
-
-    A word applies to the Gaussians that answer it. Of several words for one Gaussian, the one answered by the finest
-    level counts, for the name of a part says more than that of its whole; of words of one level the one with the
-    largest score.
-    """
-    of_name: dict[str, Answer] = {}
-    for answer in answers:
-        of_name.setdefault(answer.text, answer)
-    names, answers = tuple(of_name), [*of_name.values()]
-    if NONE_NAME in names:
-        raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")
-    ids = labels_of_answers(answers, field.levels)
-    instances = torch.full_like(ids, NO_THING)
-    for number, answer in enumerate(answers):
-        if answer.things and field.thing_table is not None:
-            owners = field.thing_table.owners.cpu()
-            inside = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
-            instances = torch.where(ids == number, torch.where(inside, owners, NO_THING).amax(1), instances)
-    return GaussianLabels(
-        ids,
-        names,
-        tuple(answer.score for answer in answers),
-        tuple(answer.presence for answer in answers),
-        tuple(answer.level for answer in answers),
-        tuple(answer.things for answer in answers),
-        instances,
-    )
 
 
 def labels_of_answers(answers: Sequence[Answer], levels: Sequence[str]) -> Tensor:

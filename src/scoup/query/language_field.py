@@ -19,7 +19,7 @@ from scoup.query.drawing import field_card
 from scoup.query.expression import Expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.labels import GaussianLabels, labels_of
+from scoup.query.labels import GaussianLabels
 from scoup.query.place import Place, place_of
 from scoup.query.question import (
     Question,
@@ -352,7 +352,7 @@ class LanguageField(Field):
             >>> sorted(field.label(["kettle", "wooden table"]).counts())
             ['kettle', 'none', 'wooden table']
         """
-        return labels_of(self, answers_of(self, self.question(question)))
+        return GaussianLabels.of(self, answers_of(self, self.question(question)))
 
 
 class LanguageView(FieldView):

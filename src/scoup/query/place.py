@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
 
-from scoup.base import card, rounded_vector, verb
+from scoup.base import card, rounded_vector
 from scoup.field import Field
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox
@@ -57,8 +56,7 @@ class Place:
         """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
         if self.thing is None:
             return self.answer.remark()
-        numbers = f", {numbered_things(self.answer.things)}" if self.answer.things else ""
-        return f"{self.thing.describe(metres_per_unit)}{numbers}, {self.answer.remark()}"
+        return f"{self.thing.describe(metres_per_unit)}{self.answer.numbered()}, {self.answer.remark()}"
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
@@ -68,11 +66,6 @@ class Place:
             "box": None if self.box is None else self.box.to_dict(),
             **self.answer.to_dict(),
         }
-
-
-def numbered_things(numbers: Sequence[int]) -> str:
-    """Return the numbers of one or more things as people read them."""
-    return f"{verb(len(numbers), 'thing', 'things')} {', '.join(map(str, numbers))}"
 
 
 def place_of(field: Field, answer: Answer) -> Place:

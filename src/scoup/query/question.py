@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
-from scoup.field import Field, number_of
+from scoup.field import Field, NameTable, number_of
 from scoup.models import (
     CANONICAL_PHRASES,
     COLORS,
@@ -72,6 +72,11 @@ class TextVectors:
         """Return whether there are enough everyday words to judge presence (``scoup.query.presence``)."""
         return len(self.everyday) >= LEAST_WORDS
 
+    @property
+    def compared(self) -> Tensor:
+        """The words [B, D] float32 that things are compared with; the canonical phrases replace too few."""
+        return (self.everyday if self.can_judge_presence else self.canonical).float().cpu()
+
     def with_everyday(self) -> TextVectors:
         """Add the mean of the everyday words to the canonical phrases, which only protocols do without, unless there
         are too few words.
@@ -126,6 +131,15 @@ class Question(TextVectors, Generic[Asked]):
     def from_vectors(cls, vectors: TextVectors, **options: Any) -> Question[Any]:
         """Make a question of vectors, with attributes as options."""
         return cls(**{**vars(vectors), **options})
+
+    @classmethod
+    def encoded(
+        cls, encoder: TextEncoder, texts: Sequence[str], source: str = "", present_from: float | None = None
+    ) -> Question[Any]:
+        """Make a question of texts for several fields; messages about everyday words name their ``source``."""
+        vectors = encode_texts(encoder, texts)
+        least = presence_threshold(len(vectors.everyday), source, present_from)
+        return cls.from_vectors(vectors.with_everyday(), present_from=least)
 
     def shaped(self, results: list[Found]) -> Found | list[Found]:
         """Return the results of all texts, or the only one if the question was one text."""
@@ -230,14 +244,11 @@ def _near_names(field: Field, encoder: TextEncoder, vectors: TextVectors) -> tup
     def encode(texts: tuple[str, ...]) -> Tensor:
         return field.kept((near_names, texts), lambda: encoder.encode(texts))
 
-    return near_names(
-        names.texts, [names.texts[row] for row in names.rows.unique()], encoder, vectors, encode
-    )
+    return near_names(names, encoder, vectors, encode)
 
 
 def near_names(
-    names: Collection[str],
-    given: Collection[str],
+    names: NameTable,
     encoder: TextEncoder,
     vectors: TextVectors,
     encode: Callable[[tuple[str, ...]], Tensor],
@@ -245,15 +256,14 @@ def near_names(
     """Return for each text the name of things that is nearly the same; () if all texts are names.
 
     Args:
-        names: texts that a model looked for in a scene.
-        given: those of them that a thing has a vote for.
+        names: of the things of a scene.
         encoder: of texts.
         vectors: of the texts.
         encode: ``encoder.encode`` with a cache.
     """
-    if all(number_of(names, text) is not None for text in vectors.texts):
+    if all(number_of(names.texts, text) is not None for text in vectors.texts):
         return ()
-    known = tuple(text for text in given if text in encoder)
+    known = tuple(text for row in names.rows.unique() if (text := names.texts[row]) in encoder)
     if not known:
         return ()
     cosines, rows = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)

@@ -13,7 +13,7 @@ chooses, ``scoup.query.presence`` scores. Ours; measured in docs/answers.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, combinations, islice, pairwise
@@ -23,15 +23,17 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from scoup.field import NO_THING, Field, ThingTable
+from scoup.field import NO_THING, Field, NameTable, ThingTable
+from scoup.models import TextEncoder
 from scoup.query import constants
 from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things
-from scoup.query.named import Named, joined
+from scoup.query.named import Named, find_named, joined
 from scoup.query.presence import TextScore, is_present, text_scores
-from scoup.query.question import Question, TextVectors
+from scoup.query.question import Question, TextVectors, check_encoder, near_names
 
 NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
+_ARRAYS = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
 
 
@@ -103,9 +105,24 @@ class ThingIndex:
         )
 
     @classmethod
+    def of_field(cls, field: Field, encoder: TextEncoder) -> ThingIndex | None:
+        """Return ``thing_index`` with the everyday words of an encoder, which must fit (``check_encoder``)."""
+        check_encoder(field, encoder)
+        return thing_index(field, Question.encoded(encoder, []))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Tensor], vectors: Tensor, words: Tensor) -> ThingIndex:
+        """Return the index of one scene from its ``arrays``, vectors [T, D] and words [B, D]."""
+        parts, shares = {name: arrays[name] for name in _ARRAYS}, map(arrays.__getitem__, Shares._fields)
+        return cls(words, (vectors,), shares=Shares(*shares), known_best_fits=parts.pop("best_fits"), **parts)
+
+    def arrays(self) -> dict[str, Tensor]:
+        """Return all but vectors and words."""
+        return {name: getattr(self, name) for name in _ARRAYS} | self.shares._asdict()
+
+    @classmethod
     def joined(cls, indices: Sequence[ThingIndex]) -> ThingIndex:
         """Return one index of the scenes of several, one at least, all compared with the same words."""
-        names = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs")
         first = [0, *accumulate(len(index.shares.others) for index in indices)]
         shares = Shares(
             torch.cat([index.shares.ends[:-1] + start for index, start in zip(indices, first, strict=False)]
@@ -118,7 +135,7 @@ class ThingIndex:
             vectors=tuple(vectors for index in indices for vectors in index.vectors),
             shares=shares,
             known_best_fits=pad_sequence([fits for index in indices for fits in index.best_fits], True),
-            **{name: torch.cat([getattr(index, name) for index in indices]) for name in names},
+            **{name: torch.cat([getattr(index, name) for index in indices]) for name in _ARRAYS[:-1]},
         )
 
     def with_words(self, words: Tensor) -> ThingIndex:
@@ -238,6 +255,50 @@ class ThingIndex:
         return verdicts
 
 
+@dataclass(frozen=True, eq=False)
+class AskedThings:
+    """The things of an index, asked the texts of a question.
+
+    Args:
+        names: of the things of some scenes, by scene.
+        encode: ``encoder.encode`` with a cache.
+    """
+
+    index: ThingIndex
+    question: Question[Any]
+    names: Mapping[int, NameTable]
+    encoder: TextEncoder
+    encode: Callable[[tuple[str, ...]], Tensor]
+
+    @cached_property
+    def fits(self) -> Tensor:
+        """[N, Q]."""
+        return self.index.fits(self.question.queries)
+
+    @cached_property
+    def _named(self) -> list[dict[int, Named]]:
+        """For each text, by scene."""
+        named: dict[int, list[Named | None]] = {}
+        for scene, names in self.names.items():
+            near = near_names(names, self.encoder, self.question, self.encode)
+            count = len(self.index.vectors[scene])
+            named[scene] = find_named(names, count, replace(self.question, near=near))
+        texts = range(len(self.question.texts))
+        return [{scene: name for scene, of in named.items() if (name := of[text])} for text in texts]
+
+    @cached_property
+    def scores(self) -> dict[str, TextScore]:
+        """Of each text."""
+        scores = text_scores(self.question, self.index.best_fits, self._named)
+        return dict(zip(self.question.texts, scores, strict=True))
+
+    @cached_property
+    def verdicts(self) -> dict[str, list[Verdict]]:
+        """For each text, of the scenes."""
+        verdicts = self.index.judge(self.question, self._named, self.fits)
+        return dict(zip(self.question.texts, verdicts, strict=True))
+
+
 def _float(vectors: Tensor) -> Tensor:
     """Return vectors as float32, converted in parts that one thread takes: of thousands of scenes, waiting for other
     threads would take longer than the work."""
@@ -283,14 +344,9 @@ def shares_of(rows: Tensor, others: Tensor, gaussians: Tensor, count: int) -> Sh
     return Shares(ends, others[order].int(), gaussians[order])
 
 
-def compared_words(texts: TextVectors) -> Tensor:
-    """Return the words [B, D] float32 that things are compared with; the canonical phrases replace too few."""
-    return (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
-
-
 def thing_index(field: Field, texts: TextVectors) -> ThingIndex | None:
-    """Return the things of a field, compared with ``compared_words``; None for a field without things."""
+    """Return the things of a field, compared with the words of texts; None for a field without things."""
     if field.thing_table is None or not len(field.thing_table):
         return None
-    table, words = field.thing_table, compared_words(texts)
+    table, words = field.thing_table, texts.compared
     return field.kept((ThingIndex, words.numpy().tobytes()), lambda: ThingIndex.of(table, words))

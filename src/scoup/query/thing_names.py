@@ -21,7 +21,7 @@ from scoup.query.answer_scene import each_answer
 from scoup.query.named import less_common, voted_names
 from scoup.query.presence import text_scores
 from scoup.query.question import Question
-from scoup.query.thing_judge import ThingIndex, compared_words, shared_gaussians, thing_index
+from scoup.query.thing_judge import ThingIndex, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
 
 
@@ -48,7 +48,7 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     known = thing_index(field, question)
     if known is None:
         return {}
-    queries, everyday = question.queries.float().cpu(), compared_words(question)
+    queries, everyday = question.queries.float().cpu(), question.compared
     near = less_common(known.cosines(queries))
     words = less_common(known.cosines(everyday))
     candidates: dict[int, list[tuple[float, int]]] = {}

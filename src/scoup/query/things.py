@@ -18,7 +18,7 @@ from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.named import named_texts, voted_names
-from scoup.query.presence import LEAST_GAUSSIANS, text_scores
+from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty, text_scores
 from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
@@ -73,6 +73,11 @@ class Thing:
     def size(self) -> float:
         """Diagonal of its box in world units."""
         return float(self.box.extent.norm())
+
+    @property
+    def certainty(self) -> Certainty | None:
+        """Its score in words; None if it has none."""
+        return certainty(self.score, True)
 
     def __repr__(self) -> str:
         what = f"thing {self.number}" if self.number is not None else "part"

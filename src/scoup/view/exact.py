@@ -12,8 +12,8 @@ from scoup import raster
 from scoup.base import InputError, counted
 from scoup.field import Field, relevancy
 from scoup.pictures import Picture, as_picture, heat_overlay, texts_overlay
-from scoup.query import Answer, FieldView, PointSets, TextVectors, code_drawing
-from scoup.scene import Camera, signed
+from scoup.query import Answer, FieldView, TextVectors, drawing
+from scoup.scene import signed
 
 Colors: TypeAlias = Sequence[tuple[float, float, float]]
 PictureMode = Literal["color", "heat", "mask", "codes"]
@@ -54,7 +54,7 @@ def draw_picture(
     if answers and len(colors) != len(answers):
         raise InputError(f"expected {len(answers)} colors, got {len(colors)}")
     if mode == "codes":
-        return code_drawing(view.field, len(view.field.levels) // 2 if level is None else level, True)(view)
+        return drawing(view.field, "codes", level, plain=True)(view)
     n_pixels = view.camera.width * view.camera.height
     if mode != "color" and n_pixels * (len(answers) + 4) > MOST_FOR_TEXTS:
         texts = counted(len(answers), "text")
@@ -102,7 +102,7 @@ def what_is_at(
     if not len(gaussians) or not float(weights.sum()) > 0:
         return {"position": None, "distance": None, "levels": []}
     shares = weights.double().cpu()
-    position = _position(field, camera, pixel, gaussians, shares)
+    position = view.position_at(pixel, gaussians, shares)
     levels = []
     for level, name in enumerate(field.levels):
         embedding = _mean_embedding(field, level, gaussians, weights)
@@ -115,18 +115,6 @@ def what_is_at(
         levels.append({"level": name, "confidence": round(mean_confidence, 4), "words": nearest})
     distance = float((position - camera.position).norm())
     return {"position": position.tolist(), "distance": distance, "levels": levels}
-
-
-def _position(
-    field: Field, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
-) -> Tensor:
-    """Return [3] float64: the point of the pixel's ray at the median depth of the weight."""
-    means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
-    depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    depth = PointSets.of_one_thing(depths[:, None], weights).medians().item()
-    x, y = pixel[0] + 0.5, pixel[1] + 0.5
-    ray = torch.tensor([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0], dtype=torch.float64)
-    return camera.position + depth * (camera.viewmat[:3, :3].T @ ray)
 
 
 def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]]:

@@ -22,6 +22,7 @@ from PIL import Image as Pictures
 
 from scoup.base import VERSION, ScoupError
 from scoup.pictures import Picture
+from scoup.view.mcp_http import serve_http
 from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (
@@ -80,8 +81,11 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
     return server
 
 
-def serve(server: Any) -> int | None:
-    """Serve over standard input and output until the input ends (None), or a signal ends it: return its number."""
+def serve(server: Any, port: int | None, announce: Callable[[str, str], None]) -> int | None:
+    """Serve over HTTP (``serve_http``); without a port over standard input and output, until the input ends (None), or
+    a signal ends it: return its number."""
+    if port is not None:
+        return serve_http(server, port, announce)
     stopped: list[int] = []
     with suppress(asyncio.CancelledError):
         asyncio.run(_serve(server, stopped))

@@ -18,12 +18,8 @@ from scoup.pictures import Picture, as_picture, mask_overlay
 from scoup.query import (
     LanguageField,
     Thing,
-    certainty,
-    find_objects,
     named_things,
-    overlaps,
-    related_pairs,
-    thing_mask,
+    related_objects,
 )
 from scoup.scene import Cameras
 
@@ -106,13 +102,11 @@ class SceneTools:
         With `thing`, only that one, what it is on or inside, and what is on or inside it. Names: as in `list_things`.
         """
         field, every = self._field(scene), self._named(scene)
-        objects = find_objects(field, list(every.values()))
-        if thing is not None:
-            asked = _numbered_thing(every, thing)
-            objects = [asked, *(entry for entry in objects if not overlaps(entry, asked))]
+        asked = None if thing is None else _numbered_thing(every, thing)
+        objects, pairs = related_objects(field, list(every.values()), asked)
         related: dict[int, dict[str, list[int]]] = {}
         shown = {thing}
-        for one, what, other in related_pairs(field, objects, field.frame()):
+        for one, what, other in pairs:
             if thing in (None, one, other):
                 related.setdefault(one, {}).setdefault(what, []).append(other)
                 shown |= {one, other}
@@ -180,7 +174,7 @@ class SceneTools:
         seen = field.at(view)
         picture = as_picture(seen.renders.colors().cpu())
         for index, thing in enumerate(marked):
-            mask = thing_mask(seen, thing)
+            mask = seen.mask_of(thing.gaussians)
             if bool(mask.any()):
                 color = _COLORS[index % len(_COLORS)]
                 drawn = mask_overlay(mask, picture, color=color)
@@ -240,7 +234,7 @@ def _reply(
 
 
 def _name(thing: Thing) -> dict[str, Any]:
-    sure = certainty(thing.score, True) if thing.text else None
+    sure = thing.certainty if thing.text else None
     return {"thing": thing.number, "text": thing.text, **({} if sure is None else {"certainty": sure})}
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from scoup.base import InputError, ScoupError, html
 from scoup.query import LanguageField
 from scoup.view.decimation import MOST_GAUSSIANS
-from scoup.view.guard import Guard
+from scoup.view.guard import Guard, is_loopback
 from scoup.view.page import page_files
 from scoup.view.viewed_field import ViewedField
 
@@ -39,6 +39,7 @@ class Viewer:
         address: to be opened in a browser.
         viewed: the field.
         height: of the page in a notebook, in pixels.
+        is_local: only this machine reaches it.
 
     Args:
         viewed: the field.
@@ -68,7 +69,7 @@ class Viewer:
         from scoup.view.server import application
 
         guard = Guard.of(host)
-        self.viewed, self.height = viewed, height
+        self.viewed, self.height, self.is_local = viewed, height, is_loopback(host)
         self._socket = bound_socket(host, port)
         host_name = _shown_host(host)
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
@@ -174,15 +175,16 @@ def open_viewer(
     return Viewer(ViewedField(field, words, most), remote=remote, height=height)
 
 
-def check_needed() -> None:
-    """Check that the packages of the server are there.
+def check_needed(serves: bool = True) -> None:
+    """Check that the page is there, and if it is served, the packages of the server.
 
     Raises:
         ScoupError: one is missing.
     """
-    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    missing = [name for name in _NEEDED if serves and importlib.util.find_spec(name) is None]
     if missing:
         raise ScoupError(f'the viewer needs {" and ".join(missing)}: pip install "scoup[view]"')
+    page_files()
 
 
 def _nothing(record: logging.LogRecord) -> bool:

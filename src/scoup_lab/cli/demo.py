@@ -75,10 +75,10 @@ class Demo:
 def _page_problem() -> str:
     """Return why no page can be written; empty if it can."""
     from scoup.base import ScoupError
-    from scoup.view import page_files
+    from scoup.view import check_needed
 
     try:
-        page_files()
+        check_needed(serves=False)
     except ScoupError as error:
         return str(error)
     return ""
