@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output, reserved_part
+from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output
 from scoup.cli.build_options import (
     BuildOptions,
     CodingOptions,
@@ -177,7 +177,7 @@ class Build:
         started = time.perf_counter()
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen, settings = Cameras(part.of(views)), self._settings(loaded)
-        with reserved_part(folder, part):
+        with part.reserved(folder):
             sums = self._open_sums(loaded, folder)
             check_fit = bool(len(chosen)) and not len(sums)
             check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)

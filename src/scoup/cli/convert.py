@@ -98,7 +98,7 @@ class Convert:
         from scoup.base import check_output
         from scoup.io import load_gaussians, save_gaussians
 
-        check_output(self.target, self.common.overwrite)
+        check_output(self.target, overwrite=self.common.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
             raise InputError(f"{self.target}: is the source; use another name")
         gaussians = load_gaussians(self.source, self.keep_axes)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base import InputError, Part, counted, reserved_part
+from scoup.base import InputError, Part, counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
@@ -176,7 +176,7 @@ class Extract:
             view
         ]
         picture = Path(f"{camera.stem}_regions.png")
-        check_output(picture, self.common.overwrite)
+        check_output(picture, overwrite=self.common.overwrite)
         folder = self.out or scene_folder(scene)
         regions = load_regions(folder, [camera])
         manifest = RegionStore.open(folder).manifest
@@ -310,7 +310,7 @@ def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
         console.kept = lambda: kept(f"{done} of {total} views") if done else before
         progress(stage, done, total)
 
-    with reserved_part(out, part), console.progress() as progress:
+    with part.reserved(out), console.progress() as progress:
         yield report
 
 

@@ -127,7 +127,7 @@ class Select:
             raise InputError(f"{self.picture}: the picture is a PNG; use a name that ends in .png")
         for path in (self.out, self.picture):
             if path is not None:
-                check_output(path, self.common.overwrite)
+                check_output(path, overwrite=self.common.overwrite)
 
     def _is_plain_ply(self) -> bool:
         return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")

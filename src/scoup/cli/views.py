@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, check_outputs, counted
+from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, WritesCommon, arg
 
@@ -65,7 +65,7 @@ class MakeViews:
         splat = splat_source(self.splat)
         source = splat.path
         out = self.out or Path(f"{source.stem}_views")
-        check_outputs(out, (TRANSFORMS, SHEET), self.common.overwrite)
+        check_output(out / TRANSFORMS, out / SHEET, overwrite=self.common.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view

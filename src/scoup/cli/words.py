@@ -40,7 +40,7 @@ class MakeWords:
         from scoup.view import read_words
 
         check_table_name(self.out)
-        check_output(self.out, self.common.overwrite)
+        check_output(self.out, overwrite=self.common.overwrite)
         if is_table(self.model):
             raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
         words = list(dict.fromkeys((*CANONICAL_PHRASES, *read_words(self.words), *EVERYDAY_WORDS)))

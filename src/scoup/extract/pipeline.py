@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, none_of
+from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, share_of
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
@@ -164,7 +164,7 @@ def _warn_of_skipped(report: ExtractReport, total: int) -> None:
         return
     first = "; ".join(list(report.skipped.values())[:3])
     if len(report.skipped) == total:
-        raise ScoupError(f"{none_of(total, 'photograph')} could be read: {first}")
+        raise ScoupError(f"{share_of(0, total, 'photograph')} could be read: {first}")
     warnings.warn(
         f"skipped {len(report.skipped)} of {counted(total, 'photograph')} that could not be read: {first}",
         ScoupWarning,

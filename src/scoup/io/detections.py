@@ -12,7 +12,6 @@ from typing import Any
 import torch
 
 from scoup.base import (
-    WAIT,
     FileFormatError,
     InputError,
     JsonNode,
@@ -72,7 +71,7 @@ class DetectionStore:
             return
         record = {"schema": SCHEMA, "version": VERSION, "settings": self.settings, "texts": list(self.texts)}
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_text(self.folder / MANIFEST, json.dumps(record, indent=2) + "\n", True, WAIT)
+        write_text(self.folder / MANIFEST, json.dumps(record, indent=2) + "\n", True, wait=True)
 
     def has(self, name: str, photograph: str) -> bool:
         """Return whether a photograph (by its SHA-256) was looked at."""

@@ -15,7 +15,6 @@ from scoup.base import (
     Progress,
     atomic_path,
     check_output,
-    check_outputs,
     no_progress,
     remove,
     reported,
@@ -65,7 +64,7 @@ def export_page(
     out = Path(out)
     part_files = [f"part_{number}.js" for number in range(viewed.n_parts)]
     names = (*FOLDER_FILES, *part_files)
-    check_outputs(out, names, overwrite) if split else check_output(out, overwrite)
+    check_output(*(out / name for name in names) if split else (out,), overwrite=overwrite)
     files, settings = page_files(), viewed.settings("exported")
     words, count = _words(viewed, progress)
     first = viewed.scene(effort=9, exported=True)

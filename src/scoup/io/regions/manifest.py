@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scoup.base import WAIT, InputError, OutputExistsError, check_format_version, write_text
+from scoup.base import InputError, OutputExistsError, check_format_version, write_text
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"
@@ -91,7 +91,7 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
     }
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     try:
-        write_text(folder / MANIFEST, text, overwrite, WAIT)
+        write_text(folder / MANIFEST, text, overwrite, wait=True)
     except OutputExistsError:
         there = read_manifest(folder)
         if there is None or there != manifest:

@@ -163,7 +163,7 @@ class RegionStore:
         """Check that these views may be written."""
         for stem in stems:
             for path in self.files(stem):
-                check_output(path, overwrite)
+                check_output(path, overwrite=overwrite)
 
     def write(self, regions: ViewRegions, stem: str | None = None, overwrite: bool = False) -> int:
         """Write a view; returns the bytes of its files.
