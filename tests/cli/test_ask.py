@@ -17,7 +17,7 @@ from PIL import Image
 from cli_support import QUICK, WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
-from scoup.io import load_gaussians, read_ply_table, write_colmap, write_ply_table
+from scoup.io import PlyTable, load_gaussians, write_colmap
 from scoup.models import load_table, save_table
 from scoup.query import LanguageField, Reshaping, edited
 from scoup.query.edits import Edit
@@ -240,7 +240,7 @@ def test_videos(motion, monkeypatch):
 
 
 def rows(path: str) -> list[bytes]:
-    return [row.tobytes() for row in read_ply_table(path).rows]
+    return [row.tobytes() for row in PlyTable.read(path).rows]
 
 
 def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
@@ -249,7 +249,7 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     assert chosen["written"] == chosen["chosen"]["kettle"]
     assert chosen["written"] + rest["written"] == chosen["gaussians"] == 150
     assert sorted(rows("a.ply") + rows("b.ply")) == sorted(rows("scene/point_cloud.ply"))
-    assert read_ply_table("a.ply").rows.dtype == read_ply_table("scene/point_cloud.ply").rows.dtype
+    assert PlyTable.read("a.ply").rows.dtype == PlyTable.read("scene/point_cloud.ply").rows.dtype
 
 
 def test_a_thing_is_removed_and_the_field_stays():
@@ -268,28 +268,28 @@ def test_a_selection_stays_live_in_supersplat():
     record = run_json(*options, "--out", "live.ply", "--edit", "state")
     header = Path("live.ply").read_bytes().split(b"end_header")[0]
     assert header.endswith(b"property uchar state\n")
-    table, before = read_ply_table("live.ply"), read_ply_table("scene/point_cloud.ply")
+    table, before = PlyTable.read("live.ply"), PlyTable.read("scene/point_cloud.ply")
     assert all((table.rows[name] == before.rows[name]).all() for name in before.names)
     assert set(table.rows["state"]) == {0, 1}
     assert len(table) == record["written"] == 150
     run_json(*options, "--out", "kept.ply")
-    assert before.select(table.rows["state"] == 1).rows.tobytes() == read_ply_table("kept.ply").rows.tobytes()
+    assert before.select(table.rows["state"] == 1).rows.tobytes() == PlyTable.read("kept.ply").rows.tobytes()
 
 
 def test_rows_that_are_not_finite_belong_to_nobody():
-    table = read_ply_table("scene/point_cloud.ply")
+    table = PlyTable.read("scene/point_cloud.ply")
     data = table.rows.copy()
     data["x"][7] = np.nan
-    write_ply_table(table.__class__(table.path, data), "scene/point_cloud.ply", overwrite=True)
+    table.__class__(table.path, data).write("scene/point_cloud.ply", overwrite=True)
     code, _, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
     assert (code, len(err.splitlines())) == (0, 1)
     code, _, err = run("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
     assert code == 0
     assert len(err.splitlines()) == 1  # one warning, though the file is read twice
-    assert len(read_ply_table("live.ply")) == 150
-    assert read_ply_table("live.ply").rows["state"][7] == 0
+    assert len(PlyTable.read("live.ply")) == 150
+    assert PlyTable.read("live.ply").rows["state"][7] == 0
     run_json("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
-    assert np.isfinite(read_ply_table("rest.ply").rows["x"]).all()
+    assert np.isfinite(PlyTable.read("rest.ply").rows["x"]).all()
 
 
 @pytest.mark.parametrize(("splat", "out"), [("g.splat", "a.ply"), ("scene.spz", "kettle.glb")])
@@ -381,7 +381,7 @@ def test_scenes_are_recoloured_and_faded(edit: Edit, options: dict[str, Any]) ->
     assert torch.allclose(found.opacities, wanted.opacities, atol=1e-6)
     chosen = set(rows_of("kettle"))
     touched = ("f_dc", "f_rest") if edit == "recolor" else "opacity"
-    before, after = read_ply_table("scene/point_cloud.ply").rows, read_ply_table("a.ply").rows
+    before, after = PlyTable.read("scene/point_cloud.ply").rows, PlyTable.read("a.ply").rows
     for old, new in zip(before, after, strict=True):
         changed = [name for name in before.dtype.names or () if old[name] != new[name]]
         assert all(name.startswith(touched) for name in changed)

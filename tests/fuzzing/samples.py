@@ -37,13 +37,12 @@ from tests.io_samples import (
 from tests.support import small_scene
 
 from scoup.io import (
-    GaussianFeatures,
+    DetectionStore,
+    PlyTable,
     RegionManifest,
     as_stored,
-    new_store,
     save_gaussians,
     save_png,
-    table_from_gaussians,
     write_colmap,
     write_gltf,
     write_transforms,
@@ -99,9 +98,9 @@ def _write_splats(folder: Path) -> None:
         save_spz(few, folder / f"version{version}.spz", version)
     save_spz(some_gaussians(MANY, degree=4), folder / "many4.spz", 4)
     (folder / "a.unpacked").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
-    features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
+    ids = torch.tensor([0, 1, -1, 1])
     for ending in ("glb", "gltf"):
-        write_gltf(few, folder / f"a.{ending}", features=features)
+        write_gltf(few, folder / f"a.{ending}", ids=ids, names=("chair", "table"))
         write_gltf(some_gaussians(MANY, degree=0), folder / f"many.{ending}")
     spz_in_gltf(folder, few)
     save_compressed_ply(folder / "packed.ply", count=4)
@@ -123,7 +122,7 @@ def _write_alike(folder: Path) -> None:
 
 
 def _write_ascii_ply(path: Path, gaussians: Gaussians) -> None:
-    rows = table_from_gaussians(gaussians).rows
+    rows = PlyTable.of(gaussians).rows
     ply_file(path, {name: rows[name] for name in rows.dtype.names or ()}, "ascii")
 
 
@@ -153,7 +152,7 @@ def _write_cameras(folder: Path) -> None:
 
 def _write_detections(folder: Path) -> None:
     box = torch.tensor([[1.0, 2.0, 5.0, 4.0]])
-    store = new_store(folder, ("mug", "kettle"), {"model": "a"})
+    store = DetectionStore.new(folder, ("mug", "kettle"), {"model": "a"})
     store.begin()
     store.write("view_00.png", "0", Detections(torch.tensor([1]), torch.tensor([0.5]), box, SIZE))
 

@@ -19,13 +19,14 @@ from messages import refuses
 from scoup.base import UnknownNameError
 from scoup.field import NO_THING, ThingTable
 from scoup.field.thing_table import TENSORS
+from scoup.io.word_list import read_words
 from scoup.models import everyday_vocabulary
 from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import read_words, words_data
+from scoup.view.vocabulary import words_data
 from support import altered
 
 

@@ -31,8 +31,8 @@ class MakeCatalog:
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
+        from scoup.io import read_words
         from scoup.query import catalog_files, save_catalog
-        from scoup.view import read_words
 
         check_metres(self.metres_per_unit)
         out = output_folder(self.out, self.field, "catalog")

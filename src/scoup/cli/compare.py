@@ -44,9 +44,8 @@ class CompareCaptures:
 
     def run(self, console: Console) -> None:
         """Compare and write."""
-        from scoup.io import read_similarity
+        from scoup.io import read_similarity, read_words
         from scoup.query import COMPARISON_FILES, compare, save_comparison
-        from scoup.view import read_words
 
         opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)

@@ -89,10 +89,9 @@ class Convert:
             )
 
     def _is_to_splat(self) -> bool:
-        from scoup.io import format_of
+        from scoup.io import is_splat_name
 
-        kind = format_of(self.target)
-        return kind is not None and kind.write is not None
+        return is_splat_name(self.target, written=True)
 
     def _convert_splat(self, console: Console) -> None:
         from scoup.base import check_output
@@ -138,8 +137,8 @@ class Convert:
         )
 
     def _convert_features(self, console: Console) -> None:
-        from scoup.io import load_gaussians, splat_source
-        from scoup.uplift import field_from_features, read_features
+        from scoup.io import load_gaussians, read_features, splat_source
+        from scoup.uplift import field_from_features
 
         check_field_output(self.target, self.common.overwrite)
         if self.features.gaussians is None:

@@ -117,7 +117,7 @@ class Extract:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs, open_pair, total_wanted
-        from scoup.io import usual_features
+        from scoup.io import find_features
 
         scene = self._scene()
         if is_splat(scene):
@@ -129,7 +129,7 @@ class Extract:
         segmenter_name, settings = self._masks(console, self.common.device)
         photographs = find_photographs(scene, self.photographs.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = self.out or usual_features(scene)
+        out = find_features(scene, self.out, to_make=True)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
@@ -200,12 +200,12 @@ class Extract:
     ) -> list[Photograph] | None:
         """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
         from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
-        from scoup.io import RegionStore, find_splat, read_manifest
+        from scoup.io import RegionManifest, RegionStore, find_splat
 
         wanted, scene = self.photographs, self._scene()
         if wanted.gaussians is not None:
             find_splat(scene, wanted.gaussians)  # a mistake shows before the long work
-        before = None if self.common.overwrite else read_manifest(out)
+        before = None if self.common.overwrite else RegionManifest.read(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all
         few = len(photographs) <= FEW or (scene / SHEET).exists()  # the views of scoup views are few
@@ -234,8 +234,8 @@ class Extract:
         return chosen
 
     def _words(self) -> tuple[str, ...]:
+        from scoup.io import read_words
         from scoup.models import EVERYDAY_WORDS
-        from scoup.view import read_words
 
         if self.words.concepts is None:
             return ()
@@ -246,12 +246,12 @@ class Extract:
     ) -> dict[str, Any]:
         """Store detections of words in the photographs; return their entry in the result."""
         from scoup.extract import extract_concepts
-        from scoup.io import CONCEPTS_FOLDER
+        from scoup.io import DetectionStore
         from scoup.models import open_concepts
 
         model, folder = (
             open_concepts(self.words.concept_model, device=self.common.device),
-            out / CONCEPTS_FOLDER,
+            out / DetectionStore.FOLDER,
         )
         with console.progress() as progress:
             report = extract_concepts(

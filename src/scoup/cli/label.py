@@ -92,7 +92,7 @@ class Label:
 
     def _words(self) -> tuple[str, ...]:
         """Return the words of the command line and of the list, each once."""
-        from scoup.view import read_words
+        from scoup.io import read_words
 
         words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)

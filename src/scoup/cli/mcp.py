@@ -57,7 +57,8 @@ class ServeAgents:
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.view import SceneTools, make_server, read_words, serve
+        from scoup.io import read_words
+        from scoup.view import SceneTools, make_server, serve
 
         self._check_options()
         words = read_words(self.words)

@@ -91,7 +91,8 @@ class View:
 
     def _viewed(self, console: Console) -> ViewedField:
         """Return the field with its encoder; say why, if no text can be asked."""
-        from scoup.view import ViewedField, page_files, read_words
+        from scoup.io import read_words
+        from scoup.view import ViewedField, page_files
 
         page_files()  # before anything that takes long
         field, page = self.opening.open(self.field, self.common.device), self.page

@@ -29,6 +29,7 @@ class MakeWords:
 
     def run(self, console: Console) -> None:
         """Encode and write."""
+        from scoup.io import read_words
         from scoup.models import (
             CANONICAL_PHRASES,
             EVERYDAY_WORDS,
@@ -37,7 +38,6 @@ class MakeWords:
             is_table,
             save_table,
         )
-        from scoup.view import read_words
 
         check_table_name(self.out)
         check_output(self.out, overwrite=self.common.overwrite)

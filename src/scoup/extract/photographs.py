@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning, file_sha256, worked_ahead
-from scoup.io import DYNAMIC_MASK, EXTENSIONS, FACTORS, ImageFolder, camera_photographs, open_image, rgb_image
+from scoup.io import DYNAMIC_MASK, camera_photographs, folder_photographs, open_image, rgb_image
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
@@ -81,18 +81,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
                 scene, problem, "pass the folder that their names are relative to as `images`"
             )
         return [Photograph(*item) for item in named]
-    folders = [Path(images)] if images is not None else _image_folders(scene)
-    for folder in folders:
-        photographs = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
-        if photographs:
-            return photographs
-    remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
-    raise MissingFileError(folders[0], "contains no photographs", remedy)
-
-
-def _image_folders(scene: Path) -> list[Path]:
-    names = ("images" if factor == 1 else f"images_{factor}" for factor in FACTORS)
-    return [scene / name for name in names if (scene / name).is_dir()] or [scene]
+    return [Photograph(*item) for item in folder_photographs(scene, images).items()]
 
 
 def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:

@@ -13,7 +13,7 @@ from scoup.extract.automatic_masks import SamSegmenter
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
-from scoup.io import read_manifest
+from scoup.io import RegionManifest
 from scoup.models import (
     ANY_OPEN_CLIP,
     DENSE_PREFIX,
@@ -123,7 +123,7 @@ def open_pair(
 
     A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
     """
-    manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
+    manifest = RegionManifest.read(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
     def revision_of(table: Registry[ModelEntry], name: str) -> str | None:

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, counted, listed, share_of
-from scoup.io.image_folder import ImageFolder
+from scoup.io.image_folder import EXTENSIONS, ImageFolder
 from scoup.io.images import image_size
 from scoup.io.reading import sorted_cameras
 from scoup.scene import Camera, Cameras
@@ -103,6 +103,19 @@ def image_files(
                 misfits[path] = misfit
     _refuse(misfits)
     return files, _searched(folder, missing) if missing else ""
+
+
+def folder_photographs(scene: Path, images: str | Path | None = None) -> dict[str, Path]:
+    """Return the photographs of a scene without cameras by their names: those of ``images``, else of its folder
+    ``images``, ``images_2`` and so on, else of its own."""
+    usual = ("images" if factor == 1 else f"images_{factor}" for factor in FACTORS)
+    folders = [scene / name for name in usual if (scene / name).is_dir()] or [scene]
+    folders = folders if images is None else [Path(images)]
+    for folder in folders:
+        if photographs := ImageFolder(folder).photographs():
+            return photographs
+    remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
+    raise MissingFileError(folders[0], "contains no photographs", remedy)
 
 
 def _searched(folder: ImageFolder | None, missing: list[str]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base import VERSION, InputError
-from scoup.io import read_manifest
+from scoup.io import RegionManifest
 from scoup.models import check_model, is_table, load_table
 from scoup.scene import Regions
 from scoup.uplift.settings import BuildSettings
@@ -27,7 +27,7 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
     Raises:
         FileFormatError, InputError: what is named is neither, or a table of vectors of another size.
     """
-    manifest = read_manifest(features)
+    manifest = RegionManifest.read(features)
     made_by = manifest.embedding_model if manifest else ""
     if named is None:
         return made_by, None

@@ -11,7 +11,6 @@ from scoup.view.page import page_files
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer, check_needed, open_viewer
-from scoup.view.vocabulary import read_words
 
 __all__ = [
     "SceneTools",
@@ -23,7 +22,6 @@ __all__ = [
     "make_server",
     "open_viewer",
     "page_files",
-    "read_words",
     "serve",
     "serve_http",
 ]

@@ -3,33 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base import InputError, existing_file
 from scoup.field import Field
-from scoup.io import read_text
 from scoup.query import Certainty
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer
 from scoup.view.scene_data import NO_OWNER
 
 _NONE = 255  # of a certainty
-
-
-def read_words(path: Path | None) -> tuple[str, ...]:
-    """Read a list of words, one per line, without empty lines and repetitions; None contains no words."""
-    if path is None:
-        return ()
-    text = read_text(existing_file(path, "a list of words"))
-    words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
-    if not words:
-        raise InputError(f"{path}: contains no word; write one per line")
-    return words
 
 
 def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
