@@ -18,7 +18,7 @@ from cli_support import QUICK, WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
 from scoup.io import PlyTable, load_gaussians, write_colmap
-from scoup.models import load_table, save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField, Reshaping, edited
 from scoup.query.edits import Edit
 from scoup.raster import render_colors
@@ -100,9 +100,9 @@ def test_the_sheet_and_single_pictures():
 
 
 def test_many_texts_take_several_sheets():
-    table = load_table("scene/words.npz")
+    table = WordTable.load("scene/words.npz")
     names = [f"thing {number}" for number in range(7)]
-    save_table("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
+    WordTable.save("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
     record = run_json("query", "f.scoup", *names, "--text", "many.npz")
     assert record["sheets"] == ["f_queries/sheet_1.png", "f_queries/sheet_2.png"]
     assert {path.name for path in Path("f_queries").iterdir()} == {"query.json", "sheet_1.png", "sheet_2.png"}
@@ -168,9 +168,9 @@ def test_geometry_that_moved_is_named():
 
 
 def test_the_table_named_on_the_command_line_wins():
-    table = load_table("scene/words.npz")
+    table = WordTable.load("scene/words.npz")
     swapped = torch.from_numpy(table.vectors)[[1, 0, *range(2, len(table.names))]]
-    save_table("swapped.npz", table.names, swapped.numpy())
+    WordTable.save("swapped.npz", table.names, swapped.numpy())
     ask = ("query", "f.scoup", *NO_PICTURES)
     mug = run_json(*ask, "mug")["answers"][0]
     kettle = run_json(*ask, "kettle", "--text", "swapped.npz")["answers"][0]
@@ -479,10 +479,10 @@ def test_things_by_words_of_a_list_metres_and_directions():
 
 
 def test_names_out_of_a_list_are_escaped():
-    table = load_table(Path("scene/words.npz"))
+    table = WordTable.load(Path("scene/words.npz"))
     odd = {"mug": "<script>alert(1)</script>", "kettle": "=1+1", "wooden table": "@SUM(1)"}
     names = [odd.get(name, name) for name in table.names]
-    save_table(Path("odd.npz"), names, table.vectors)
+    WordTable.save(Path("odd.npz"), names, table.vectors)
     code, _, err = run("catalog", "f.scoup", "--text", "odd.npz", "--out", "odd", "--quiet")
     assert code == 0, err
     assert "<script>alert" not in Path("odd/index.html").read_text()
@@ -566,7 +566,7 @@ def captures(here: Path) -> None:
     room = planted_room()
     assert room.thing_table is not None
     encoder = room.encoder
-    save_table(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
+    WordTable.save(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
     room.save("old.scoup")
     room[~room.thing_table.members(torch.tensor([LAMP]))].save("new.scoup")
 
@@ -596,7 +596,7 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     encoder = room.encoder
     names = list(encoder.names or ())
     vectors = encoder.encode([*names, "lamp"]).numpy()
-    save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
+    WordTable.save(Path("lantern.npz"), [*names, "lantern"], vectors)
     Path("lamp.txt").write_text("lamp\n")
     monkeypatch.setattr(
         "scoup.query.thing_names.thing_names", lambda _, question: seen.append(question.near) or {}

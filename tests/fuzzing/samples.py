@@ -50,7 +50,7 @@ from scoup.io import (
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import write_manifest
 from scoup.io.splats.formats import FORMATS
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections, Gaussians
 from scoup.uplift import region_sums
@@ -192,7 +192,7 @@ def _write_words_and_labels(folder: Path) -> None:
 
     vectors = torch.arange(1.0, 13.0).view(3, 4)
     names = ["cup", "chair", "table"]
-    save_table(folder / "words.npz", names, vectors, model="a/model")
+    WordTable.save(folder / "words.npz", names, vectors, model="a/model")
     np.savez_compressed(folder / "single.npz", **dict(zip(names, vectors.numpy(), strict=True)))  # pyright: ignore[reportArgumentType]
     alike = np.ones((3, 500_000), np.float32)
     np.savez_compressed(folder / "alike.npz", names=np.array(names), vectors=alike)

@@ -183,11 +183,11 @@ class Convert:
 
     def _encoder(self) -> dict[str, Any]:
         """Return the model and the word table that the field will name."""
-        from scoup.models import check_model, is_table
+        from scoup.models import WordTable, check_model
 
         if self.model is None:
             return {}
-        if not is_table(self.model):
+        if not WordTable.is_meant(self.model):
             check_model(self.model)
             return {"embedding_model": self.model}
         return {"words": self.model}

@@ -55,9 +55,9 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def _word_table(path: Path) -> dict[str, Any]:
-    from scoup.models import load_table
+    from scoup.models import WordTable
 
-    table = load_table(path)
+    table = WordTable.load(path)
     record = {"kind": "word table", "names": list(table.names), "dim": table.vectors.shape[1]}
     return record | ({"embedding_model": table.model} if table.model else {})
 

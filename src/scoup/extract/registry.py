@@ -19,10 +19,7 @@ from scoup.models import (
     DENSE_PREFIX,
     GROUP,
     HUB,
-    MOBILE_SAM,
     MOBILE_SAM_FILE,
-    OPEN_CLIP,
-    Device,
     HubEntry,
     ModelEntry,
     open_dense_model,
@@ -31,12 +28,14 @@ from scoup.models import (
 )
 
 
-def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
+def _open_sam(
+    name: str, revision: str | None, device: torch.device | str, settings: MaskSettings
+) -> Segmenter:
     model = open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
 
 
-def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
+def _open_dense(name: str, revision: str | None, device: torch.device | str) -> Embedder:
     return DenseEmbedder(open_dense_model(name, revision, device))
 
 
@@ -50,7 +49,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
+        "mobile-sam", _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
         help="MobileSAM: the default without a GPU (8.5 s without AVX-512 BF16)", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
@@ -84,11 +83,11 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
         help="the same models in one pass per photograph instead of one per region",
     ),
     replace(
-        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
+        ANY_OPEN_CLIP, name="open_clip:MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
         help="MobileCLIP2 S2: small and fast; S0, B, S3, S4, too",
     ),
     replace(
-        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
+        ANY_OPEN_CLIP, name="open_clip:PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
         help="Perception Encoder B/16; PE-Core-L-14-336, PE-Core-bigG-14-448 are larger",
     ),
     ANY_OPEN_CLIP,

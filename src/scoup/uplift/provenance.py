@@ -13,7 +13,7 @@ from torch import Tensor
 
 from scoup.base import VERSION, InputError
 from scoup.io import RegionManifest
-from scoup.models import check_model, is_table, load_table
+from scoup.models import WordTable, check_model
 from scoup.scene import Regions
 from scoup.uplift.settings import BuildSettings
 from scoup.uplift.stored_sums import RegionSums
@@ -31,10 +31,10 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
     made_by = manifest.embedding_model if manifest else ""
     if named is None:
         return made_by, None
-    if not is_table(named):
+    if not WordTable.is_meant(named):
         check_model(named)
         return named, None
-    table = load_table(named)
+    table = WordTable.load(named)
     dim = table.vectors.shape[1]
     wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
     if dim != wanted:
@@ -72,7 +72,7 @@ class FieldSources:
 
 def recorded_model(embedding_model: str, words: str | Path | None) -> str:
     """Return the embedding model for a field to record: the one given, or the one that its word table names."""
-    return embedding_model if embedding_model or words is None else load_table(words).model
+    return embedding_model if embedding_model or words is None else WordTable.load(words).model
 
 
 def build_record(
