@@ -21,18 +21,11 @@ from io_samples import (
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
-from scoup.io import (
-    as_stored,
-    camera_photographs,
-    load_cameras,
-    load_gaussians,
-    load_image,
-    save_gaussians,
-    splat_source,
-)
+from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
+from scoup.io.scenes import camera_photographs
 from scoup.io.splats.ply import PlyTable
 from scoup.scene import sanity_problems
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -318,7 +318,9 @@ def locked(output: Path, wait: bool = False, kind: str = "lock") -> Iterator[Non
 
 
 @contextmanager
-def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> Iterator[Path]:
+def staged(
+    folder: Path, files: Sequence[str] = (), overwrite: bool = False, stale: Iterable[Path] = ()
+) -> Iterator[Path]:
     """Yield a hidden folder to write into; at the end everything in it moves into ``folder``.
 
     On any error in the block, interruption included, the hidden folder is removed and ``folder`` is unchanged. Only an
@@ -329,6 +331,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         files: paths within the folder that are checked before the block, and moved first, in this order. Two processes
             write into one folder at the same time if their first files differ.
         overwrite: replace existing files.
+        stale: files of an earlier output that are removed at the end.
 
     Raises:
         OutputExistsError, OutputInUseError, WriteError: as ``atomic_path``.
@@ -343,6 +346,8 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in written]
         _move(hidden, folder, [*first, *(file for file in written if file not in files)], overwrite)
+        for path in stale:
+            remove(path)
 
 
 def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:

@@ -60,7 +60,7 @@ class MakeViews:
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source, turned, turned_direction
+        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source
 
         splat = splat_source(self.splat)
         source = splat.path
@@ -70,8 +70,8 @@ class MakeViews:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up
-        if view.keep_axes and (axis := splat.kind.axis) is not None:
-            up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
+        if view.keep_axes and splat.kind.axis is not None:
+            up = splat.kind.turned_direction(up or estimated_up(splat.kind.turned(gaussians)))
         how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
         with console.progress() as progress:
             cameras = choose_cameras(gaussians, progress=progress, **how)

@@ -17,7 +17,6 @@ from scoup.io import RegionManifest
 from scoup.models import (
     ANY_OPEN_CLIP,
     DENSE_PREFIX,
-    GROUP,
     HUB,
     MOBILE_SAM_FILE,
     HubEntry,
@@ -63,7 +62,7 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     felzenszwalb.ENTRY,
 ))  # fmt: skip
-EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
+EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
     ModelEntry(
         _CLIP, open_image_model, size="598 MB", seconds=47.6, file=(_CLIP, "model.safetensors"),
         help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",

@@ -4,7 +4,7 @@ All take and return the dataclasses of ``scene``. Readers check what a header cl
 nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one.
 """
 
-from scoup.io.camera_images import attach_images, folder_photographs
+from scoup.io.camera_images import attach_images
 from scoup.io.camera_sources import find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
@@ -23,9 +23,8 @@ from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions
 from scoup.io.scene_parts import find_features, find_splat
-from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians, save_gaussians
+from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians, scene_photographs
 from scoup.io.similarity import read_similarity
-from scoup.io.splats.axes import turned, turned_direction
 from scoup.io.splats.formats import (
     is_splat_name,
     splat_source,
@@ -55,14 +54,12 @@ __all__ = [
     "ViewRegions",
     "as_stored",
     "attach_images",
-    "camera_photographs",
     "convert_regions",
     "describe_file",
     "describe_folder",
     "find_cameras",
     "find_features",
     "find_splat",
-    "folder_photographs",
     "has_cameras",
     "is_splat_name",
     "load_cameras",
@@ -85,10 +82,9 @@ __all__ = [
     "save_png",
     "save_regions",
     "scene_folder",
+    "scene_photographs",
     "splat_source",
     "spread_directions",
-    "turned",
-    "turned_direction",
     "write_colmap",
     "write_gltf",
     "write_transforms",

@@ -21,7 +21,7 @@ from scoup.models.text import (
     TextEncoder,
     check_model,
 )
-from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
+from scoup.models.text_models import ANY_OPEN_CLIP, HUB
 from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 
@@ -33,7 +33,6 @@ __all__ = [
     "CONCEPTS",
     "DENSE_PREFIX",
     "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
-    "GROUP",
     "HUB",
     "LEAST_WORDS",
     "LONGEST",

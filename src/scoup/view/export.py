@@ -16,7 +16,6 @@ from scoup.base import (
     atomic_path,
     check_output,
     no_progress,
-    remove,
     reported,
     staged,
 )
@@ -86,7 +85,8 @@ def export_page(
     if split:
         tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
         html = files.in_one(settings, f"<script>window.scoupData = {{parts: []}};</script>\n{tags}")
-        with staged(out, names, overwrite) as hidden:
+        old = [part for part in out.glob("part_[0-9]*.js") if overwrite and part.name not in names]
+        with staged(out, names, overwrite, old) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
             scripts = {f"{name}.js": _assignment(f"window.scoupData.{name}", data[name]) for name in data}
             for name, script in scripts.items():
@@ -94,9 +94,6 @@ def export_page(
             for number, name in enumerate(part_files):  # one after another, as the page loads them
                 script = _assignment(f"window.scoupData.parts[{number}]", encoded_part(number))
                 (hidden / name).write_text(script, encoding="utf-8")
-        for other in out.glob("part_[0-9]*.js") if overwrite else ():
-            if other.name not in names:
-                remove(other)
         size = sum((out / name).stat().st_size for name in names)
     else:
         whole = {**data, "parts": [encoded_part(number) for number in range(viewed.n_parts)]}
