@@ -22,7 +22,7 @@ from scoup.base.errors import (
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
-from scoup.base.native import native_core, refusals, release_memory, require_core
+from scoup.base.native import native_core, release_memory, required_core
 from scoup.base.outputs import (
     atomic_file,
     atomic_path,
@@ -91,12 +91,11 @@ __all__ = [
     "native_core",
     "no_progress",
     "printable",
-    "refusals",
     "refuse_pointer",
     "refused_read",
     "release_memory",
     "reported",
-    "require_core",
+    "required_core",
     "reserved_output",
     "rounded_vector",
     "safetensors_damage_named",
