@@ -21,7 +21,6 @@ from scoup.models import (
     MOBILE_SAM_FILE,
     HubEntry,
     ModelEntry,
-    open_dense_model,
     open_image_model,
     open_sam,
 )
@@ -32,10 +31,6 @@ def _open_sam(
 ) -> Segmenter:
     model = open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
-
-
-def _open_dense(name: str, revision: str | None, device: torch.device | str) -> Embedder:
-    return DenseEmbedder(open_dense_model(name, revision, device))
 
 
 def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
@@ -68,7 +63,7 @@ EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
         help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",
     ),
     ModelEntry(
-        f"{DENSE_PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
+        f"{DENSE_PREFIX}{_TIPS}", DenseEmbedder, size="784 MB", file=(_TIPS, "model.safetensors"),
         help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0, CC-BY-4.0",
         extra="models",
     ),
@@ -78,7 +73,7 @@ EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
     ),
     HUB,
     ModelEntry(
-        f"{DENSE_PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
+        f"{DENSE_PREFIX}MODEL", DenseEmbedder, seconds=2.4, extra="models",
         help="the same models in one pass per photograph instead of one per region",
     ),
     replace(

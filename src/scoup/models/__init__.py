@@ -6,7 +6,7 @@ and says which text space its embeddings are in.
 
 from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
-from scoup.models.dense import DENSE_PREFIX, DenseModel, open_dense_model
+from scoup.models.dense import DENSE_PREFIX, open_dense_model
 from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ModelIdentity
 from scoup.models.image import open_image_model
@@ -39,7 +39,6 @@ __all__ = [
     "MOBILE_SAM_FILE",
     "NO_WORDS_FOR_COLORS",
     "ConceptModel",
-    "DenseModel",
     "EncodedImage",
     "Encoder",
     "HubEntry",
