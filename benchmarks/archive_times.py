@@ -25,7 +25,7 @@ from scoup.archive.archive import ABOUT, FORMAT, VERSION
 from scoup.archive.kept_scans import MATRIX, vector_bytes
 from scoup.archive.scan_files import Scan, arrays_of, write_scan
 from scoup.archive.search import words_digest
-from scoup.models import CANONICAL_PHRASES, TextEncoder, save_table
+from scoup.models import CANONICAL_PHRASES, TextEncoder, WordTable
 from scoup_lab.bench import markdown
 
 TEXT, SCANS = "teapot", 48
@@ -72,7 +72,7 @@ def _times(world: World, count: int, folder: Path) -> Record:
     """Return wall and processor seconds, and memory, with an archive of so many things: some scans many times."""
     words = [*world.everyday, *CANONICAL_PHRASES]
     table = folder / "words.npz"
-    save_table(table, words, world.of(words).numpy(), model="simulated")
+    WordTable.save(table, words, world.of(words).numpy(), model="simulated")
     about = {
         "format": FORMAT,
         "version": VERSION,

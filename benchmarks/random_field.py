@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from scoup.field import FieldInfo
-from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, save_table
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, WordTable
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
@@ -31,5 +31,5 @@ def random_field(
 def write_words(path: Path, *more: str) -> Path:
     """Write a table with vectors of everyday words, the canonical phrases and more."""
     words = list(dict.fromkeys([*CANONICAL_PHRASES, *more, *EVERYDAY_WORDS]))
-    save_table(path, words, clip_like(len(words), seed=3), model="simulated")
+    WordTable.save(path, words, clip_like(len(words), seed=3), model="simulated")
     return path

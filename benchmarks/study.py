@@ -74,7 +74,7 @@ def run(study: Study, name: str) -> Record:
     """Run a study: measure what is not kept, print its table, write its record."""
     study.check()
     if study.out is not None:
-        check_output(study.out, study.overwrite)
+        check_output(study.out, overwrite=study.overwrite)
     environment = describe_environment()
     head = {"what": f"benchmarks {name}", "machine": environment}
     rows = _kept(study)

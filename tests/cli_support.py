@@ -20,7 +20,7 @@ from children import child
 from io_samples import save_langsplat
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, write_colmap
-from scoup.models import CANONICAL_PHRASES, load_table, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.raster import render_colors
 from support import small_scene, unit
 
@@ -45,7 +45,7 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
     save_langsplat(regions, folder / "language_features")
     names = [*WORDS, *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
-    save_table(folder / "words.npz", names, vectors.numpy())
+    WordTable.save(folder / "words.npz", names, vectors.numpy())
     return folder
 
 
@@ -63,10 +63,10 @@ def plain_photographs(folder: Path | str = "scene/images", count: int = 4) -> No
 
 def add_words(table: Path | str = "scene/words.npz", path: Path | str = "many.npz", seed: int = 5) -> str:
     """Write a word table with 30 more words, random as the others, so that presence is judged; its path."""
-    known = load_table(Path(table))
+    known = WordTable.load(Path(table))
     more = unit(torch.randn(30, known.vectors.shape[1], generator=torch.Generator().manual_seed(seed)))
     names = [*known.names, *(f"word {number}" for number in range(len(more)))]
-    save_table(Path(path), names, np.concatenate([known.vectors, more.numpy()]))
+    WordTable.save(Path(path), names, np.concatenate([known.vectors, more.numpy()]))
     return str(path)
 
 

@@ -20,7 +20,7 @@ from cli_support import run
 from io_samples import save_langsplat
 from scoup.archive import Archive
 from scoup.io import convert_regions, load_gaussians, save_gaussians, save_png, write_colmap
-from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.query import LanguageField
 from scoup.scene import Gaussians
 from support import random_gaussians, small_scene, unit
@@ -42,7 +42,7 @@ def write_scene(folder: Path) -> None:
         convert_regions(plain, folder / "language_features")
     names = ["kettle", "mug", "wooden table", *CANONICAL_PHRASES]
     vectors = torch.randn(len(names), 16, generator=torch.Generator().manual_seed(7))
-    save_table(folder / "words.npz", names, unit(vectors).numpy())
+    WordTable.save(folder / "words.npz", names, unit(vectors).numpy())
 
 
 def gaussians_of_formats() -> Gaussians:

@@ -19,7 +19,7 @@ import scoup
 from children import finished
 from cli_support import run, write_scene
 from scoup.extract.plain_colors import PlainColors
-from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 
@@ -51,7 +51,7 @@ def test_pipeline(scene, tmp_path):
     names = ["kettle", "mug", "table", *CANONICAL_PHRASES]
     solid = np.random.default_rng(0).integers(1, 256, (len(names), 1, 1, 3), np.uint8)
     vectors = PlainColors().embed(torch.from_numpy(np.tile(solid, (1, 64, 64, 1)))).numpy()
-    save_table(tmp_path / "colors.npz", names, vectors)
+    WordTable.save(tmp_path / "colors.npz", names, vectors)
     out = tmp_path / "f.scoup"
     printed = example(
         "00_pipeline.py", scene, "felzenszwalb", "colors", "kettle", out, tmp_path / "colors.npz"

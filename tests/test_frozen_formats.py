@@ -22,7 +22,7 @@ from scoup.archive import Archive
 from scoup.base import FileFormatError
 from scoup.base.errors import FieldVersionError
 from scoup.field.container import METADATA_KEY
-from scoup.io import read_ply_table, write_ply_table
+from scoup.io import PlyTable
 from scoup.query import LanguageField
 from scoup.uplift import RegionSums
 from scoup.uplift.storage.array_file import read_arrays, write_arrays
@@ -111,11 +111,11 @@ def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
     The Gaussians are drawn anew, and differ in the last bits where a processor rounds otherwise.
     """
     now, then = made_now / "scene", FORMATS / "scene"
-    mine, kept = (read_ply_table(scene / "point_cloud.ply") for scene in (now, then))
+    mine, kept = (PlyTable.read(scene / "point_cloud.ply") for scene in (now, then))
     assert (mine.rows.dtype, mine.comments) == (kept.rows.dtype, kept.comments)
     for name in kept.names:
         assert mine.rows[name] == pytest.approx(kept.rows[name], rel=1e-5, abs=1e-6), name
-    write_ply_table(kept, made_now / "again.ply")
+    kept.write(made_now / "again.ply")
     assert (made_now / "again.ply").read_bytes() == (then / "point_cloud.ply").read_bytes()
     with np.load(now / "words.npz") as mine, np.load(then / "words.npz") as kept:
         assert mine["names"].tolist() == kept["names"].tolist()

@@ -11,7 +11,7 @@ import pytest
 import scoup
 from messages import refuses
 from scoup.io import save_regions
-from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 from support import small_scene, unit
 
 
@@ -25,7 +25,7 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     field.save(folder / "f.scoup")
     save_regions(regions, folder / "language_features")
     names = ["kettle", *CANONICAL_PHRASES]
-    save_table(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
+    WordTable.save(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
     field = field.with_encoder(scoup.TextEncoder.open(folder / "words.npz"))
     texts = field.question("kettle")
     return SimpleNamespace(

@@ -9,7 +9,7 @@ import pytest
 
 import scoup
 from query.planted_room import ROOM, Box, planted_room
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from support import altered
 
@@ -26,7 +26,7 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
     # Words of one table, as embeddings of one model have.
     encoder = planted_room().encoder
     assert encoder.names is not None
-    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
+    WordTable.save(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
     made = {}
     for name, room in rooms.items():
         planted = planted_room(room)

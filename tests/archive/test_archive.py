@@ -30,7 +30,7 @@ from scoup.archive.search import Found, look_alikes, rank_of
 from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field import NameTable
-from scoup.models import open_image_model, save_table
+from scoup.models import WordTable, open_image_model
 from scoup.query import LanguageField, ThingIndex, constants
 from scoup.query.thing_judge import shares_of, thing_index
 from support import altered, unit
@@ -288,7 +288,7 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch) -> None:
         ]
     assert [each.thing for each in archive.find_image(f"{BALL}.png", "thing > 3", 1)] == [BALL]
     assert archive.find_image(f"{LAMP}.png", "floor = 2") == []
-    save_table("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
+    WordTable.save("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
     printed = run_json("archive", "a", "--image", f"{MUG}.png", "--top", "2", "--text", "words.npz")
     wanted = [each.to_dict() for each in archive.find_image(f"{MUG}.png", top=2)]
     assert printed["things"] == wanted

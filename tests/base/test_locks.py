@@ -93,7 +93,7 @@ def test_what_another_process_has_just_finished_is_not_made_again(
 ) -> None:
     path = tmp_path / "a.scoup"
 
-    def locked_late(output: Path, wait: float, kind: str) -> AbstractContextManager[None]:
+    def locked_late(output: Path, wait: bool, kind: str) -> AbstractContextManager[None]:
         path.write_text("precious")  # between the first check and the lock
         return locked(output, wait, kind)
 
@@ -108,7 +108,7 @@ def test_a_lock_can_be_waited_for(tmp_path: Path) -> None:
     path, order = tmp_path / "a.scoup", []
 
     def wait() -> None:
-        with locked(path, 60.0):
+        with locked(path, wait=True):
             order.append("second")
 
     with locked(path):

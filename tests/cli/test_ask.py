@@ -17,8 +17,8 @@ from PIL import Image
 from cli_support import QUICK, WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
-from scoup.io import load_gaussians, read_ply_table, write_colmap, write_ply_table
-from scoup.models import load_table, save_table
+from scoup.io import PlyTable, load_gaussians, write_colmap
+from scoup.models import WordTable
 from scoup.query import LanguageField, Reshaping, edited
 from scoup.query.edits import Edit
 from scoup.raster import render_colors
@@ -100,9 +100,9 @@ def test_the_sheet_and_single_pictures():
 
 
 def test_many_texts_take_several_sheets():
-    table = load_table("scene/words.npz")
+    table = WordTable.load("scene/words.npz")
     names = [f"thing {number}" for number in range(7)]
-    save_table("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
+    WordTable.save("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
     record = run_json("query", "f.scoup", *names, "--text", "many.npz")
     assert record["sheets"] == ["f_queries/sheet_1.png", "f_queries/sheet_2.png"]
     assert {path.name for path in Path("f_queries").iterdir()} == {"query.json", "sheet_1.png", "sheet_2.png"}
@@ -168,9 +168,9 @@ def test_geometry_that_moved_is_named():
 
 
 def test_the_table_named_on_the_command_line_wins():
-    table = load_table("scene/words.npz")
+    table = WordTable.load("scene/words.npz")
     swapped = torch.from_numpy(table.vectors)[[1, 0, *range(2, len(table.names))]]
-    save_table("swapped.npz", table.names, swapped.numpy())
+    WordTable.save("swapped.npz", table.names, swapped.numpy())
     ask = ("query", "f.scoup", *NO_PICTURES)
     mug = run_json(*ask, "mug")["answers"][0]
     kettle = run_json(*ask, "kettle", "--text", "swapped.npz")["answers"][0]
@@ -240,7 +240,7 @@ def test_videos(motion, monkeypatch):
 
 
 def rows(path: str) -> list[bytes]:
-    return [row.tobytes() for row in read_ply_table(path).rows]
+    return [row.tobytes() for row in PlyTable.read(path).rows]
 
 
 def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
@@ -249,7 +249,7 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     assert chosen["written"] == chosen["chosen"]["kettle"]
     assert chosen["written"] + rest["written"] == chosen["gaussians"] == 150
     assert sorted(rows("a.ply") + rows("b.ply")) == sorted(rows("scene/point_cloud.ply"))
-    assert read_ply_table("a.ply").rows.dtype == read_ply_table("scene/point_cloud.ply").rows.dtype
+    assert PlyTable.read("a.ply").rows.dtype == PlyTable.read("scene/point_cloud.ply").rows.dtype
 
 
 def test_a_thing_is_removed_and_the_field_stays():
@@ -268,28 +268,28 @@ def test_a_selection_stays_live_in_supersplat():
     record = run_json(*options, "--out", "live.ply", "--edit", "state")
     header = Path("live.ply").read_bytes().split(b"end_header")[0]
     assert header.endswith(b"property uchar state\n")
-    table, before = read_ply_table("live.ply"), read_ply_table("scene/point_cloud.ply")
+    table, before = PlyTable.read("live.ply"), PlyTable.read("scene/point_cloud.ply")
     assert all((table.rows[name] == before.rows[name]).all() for name in before.names)
     assert set(table.rows["state"]) == {0, 1}
     assert len(table) == record["written"] == 150
     run_json(*options, "--out", "kept.ply")
-    assert before.select(table.rows["state"] == 1).rows.tobytes() == read_ply_table("kept.ply").rows.tobytes()
+    assert before.select(table.rows["state"] == 1).rows.tobytes() == PlyTable.read("kept.ply").rows.tobytes()
 
 
 def test_rows_that_are_not_finite_belong_to_nobody():
-    table = read_ply_table("scene/point_cloud.ply")
+    table = PlyTable.read("scene/point_cloud.ply")
     data = table.rows.copy()
     data["x"][7] = np.nan
-    write_ply_table(table.__class__(table.path, data), "scene/point_cloud.ply", overwrite=True)
+    table.__class__(table.path, data).write("scene/point_cloud.ply", overwrite=True)
     code, _, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
     assert (code, len(err.splitlines())) == (0, 1)
     code, _, err = run("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
     assert code == 0
     assert len(err.splitlines()) == 1  # one warning, though the file is read twice
-    assert len(read_ply_table("live.ply")) == 150
-    assert read_ply_table("live.ply").rows["state"][7] == 0
+    assert len(PlyTable.read("live.ply")) == 150
+    assert PlyTable.read("live.ply").rows["state"][7] == 0
     run_json("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
-    assert np.isfinite(read_ply_table("rest.ply").rows["x"]).all()
+    assert np.isfinite(PlyTable.read("rest.ply").rows["x"]).all()
 
 
 @pytest.mark.parametrize(("splat", "out"), [("g.splat", "a.ply"), ("scene.spz", "kettle.glb")])
@@ -381,7 +381,7 @@ def test_scenes_are_recoloured_and_faded(edit: Edit, options: dict[str, Any]) ->
     assert torch.allclose(found.opacities, wanted.opacities, atol=1e-6)
     chosen = set(rows_of("kettle"))
     touched = ("f_dc", "f_rest") if edit == "recolor" else "opacity"
-    before, after = read_ply_table("scene/point_cloud.ply").rows, read_ply_table("a.ply").rows
+    before, after = PlyTable.read("scene/point_cloud.ply").rows, PlyTable.read("a.ply").rows
     for old, new in zip(before, after, strict=True):
         changed = [name for name in before.dtype.names or () if old[name] != new[name]]
         assert all(name.startswith(touched) for name in changed)
@@ -479,10 +479,10 @@ def test_things_by_words_of_a_list_metres_and_directions():
 
 
 def test_names_out_of_a_list_are_escaped():
-    table = load_table(Path("scene/words.npz"))
+    table = WordTable.load(Path("scene/words.npz"))
     odd = {"mug": "<script>alert(1)</script>", "kettle": "=1+1", "wooden table": "@SUM(1)"}
     names = [odd.get(name, name) for name in table.names]
-    save_table(Path("odd.npz"), names, table.vectors)
+    WordTable.save(Path("odd.npz"), names, table.vectors)
     code, _, err = run("catalog", "f.scoup", "--text", "odd.npz", "--out", "odd", "--quiet")
     assert code == 0, err
     assert "<script>alert" not in Path("odd/index.html").read_text()
@@ -566,7 +566,7 @@ def captures(here: Path) -> None:
     room = planted_room()
     assert room.thing_table is not None
     encoder = room.encoder
-    save_table(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
+    WordTable.save(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
     room.save("old.scoup")
     room[~room.thing_table.members(torch.tensor([LAMP]))].save("new.scoup")
 
@@ -596,7 +596,7 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     encoder = room.encoder
     names = list(encoder.names or ())
     vectors = encoder.encode([*names, "lamp"]).numpy()
-    save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
+    WordTable.save(Path("lantern.npz"), [*names, "lantern"], vectors)
     Path("lamp.txt").write_text("lamp\n")
     monkeypatch.setattr(
         "scoup.query.thing_names.thing_names", lambda _, question: seen.append(question.near) or {}

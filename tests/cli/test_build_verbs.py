@@ -20,7 +20,7 @@ from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, wri
 from scoup.io.splats import formats
 from scoup.io.splats.ply import FORMAT, read_ply
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.models import load_table, save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
 from scoup.uplift import BUILD_PRESETS
@@ -134,8 +134,8 @@ def test_a_table_is_named_relative_to_the_field():
 
 
 def test_a_table_leaves_the_model_that_its_features_or_it_names():
-    table = load_table("scene/words.npz")
-    save_table("named.npz", table.names, table.vectors, model="a/model")
+    table = WordTable.load("scene/words.npz")
+    WordTable.save("named.npz", table.names, table.vectors, model="a/model")
     run_json(*BUILD, "--model", "named.npz")
     assert LanguageField.load("a.scoup").info.embedding_model == "a/model"
     run_json("convert", "scene", "compact", "--bits", "32", "--model", "the/maker")

@@ -12,7 +12,7 @@ import torch
 from cli_support import BUILD, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, load_table
+from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, WordTable
 from scoup.query import LanguageField
 from tiny_models import save_text_clip
 
@@ -110,7 +110,7 @@ def test_a_table_answers_as_its_model():
     said = run_json("words", "--model", "clip", "--words", "list.txt")
     names = (*CANONICAL_PHRASES, "red apple", "chair", *(word for word in EVERYDAY_WORDS if word != "chair"))
     assert said == {"out": "words.npz", "names": len(names), "dim": 12, "embedding_model": "clip"}
-    assert load_table("words.npz").names == names
+    assert WordTable.load("words.npz").names == names
     table, model = TextEncoder.open("words.npz"), TextEncoder.open("clip")
     asked = ["red apple", "chair", "the lamps"]
     assert (table.encode(asked) * model.encode(["red apple", "chair", "lamp"])).sum(1).min() > 1 - 1e-6

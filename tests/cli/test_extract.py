@@ -17,7 +17,7 @@ from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json, 
 from scoup.cli.options import CLIP_MODEL
 from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import (
-    find_detections,
+    DetectionStore,
     load_cameras,
     load_gaussians,
     load_regions,
@@ -193,7 +193,7 @@ def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyP
     said = run_json("extract", "scene", *FREE, "--out", "regions", "--concepts", "words.txt", "--part", "1/1")
     assert (said["concepts"]["words"], said["concepts"]["made"]) == (2, len(cameras))
     Path("regions/concepts").rename("scene/language_features/concepts")
-    assert find_detections(Path("scene/language_features")) is not None
+    assert DetectionStore.beside(Path("scene/language_features")) is not None
     run_json("build", "scene", *QUICK, "--out", "named.scoup", "--no-check-fit")
     named = LanguageField.load("named.scoup").thing_table
     assert named is not None

@@ -15,15 +15,7 @@ from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
-from scoup.io import (
-    load_cameras,
-    load_gaussians,
-    read_ply_table,
-    save_gaussians,
-    write_colmap,
-    write_ply_table,
-    write_transforms,
-)
+from scoup.io import PlyTable, load_cameras, load_gaussians, save_gaussians, write_colmap, write_transforms
 from scoup.scene import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -74,9 +66,9 @@ def another_splat() -> None:
 
 
 def moving_gaussians() -> None:
-    table = read_ply_table("scene/point_cloud.ply")
+    table = PlyTable.read("scene/point_cloud.ply")
     table = table.with_column("motion_0", np.zeros(len(table), np.float32))
-    write_ply_table(table, "scene/point_cloud.ply", overwrite=True)
+    table.write("scene/point_cloud.ply", overwrite=True)
 
 
 def each_file(folder: str, change: Callable[[Path], object]) -> Callable[[], object]:

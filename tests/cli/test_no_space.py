@@ -23,7 +23,7 @@ from children import finished
 from cli_support import QUICK, RUN, plain_photographs, run, snapshot
 from scoup.base import WriteError, atomic_file, staged
 from scoup.io import load_gaussians, save_gaussians
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.raster import ViewSums
 from scoup.scene import Cameras, Gaussians, Regions
 from scoup.uplift import BuildSettings, RegionSums, build, region_sums
@@ -216,7 +216,7 @@ WRITERS: dict[str, Callable[[Scene, RegionSums], object]] = {
     "colmap/cameras.bin": lambda scene, _: scoup_io.write_colmap(scene[1], "colmap"),
     "transforms.json": lambda scene, _: scoup_io.write_transforms(scene[1], "transforms.json"),
     "features/regions.json": lambda scene, _: scoup_io.save_regions(scene[2], "features"),
-    "words.npz": lambda *_: save_table("words.npz", ["a", "b"], torch.eye(2)),
+    "words.npz": lambda *_: WordTable.save("words.npz", ["a", "b"], torch.eye(2)),
     "new.sums": lambda scene, _: region_sums(*scene, path="new.sums"),
     "kept.sums": lambda _, kept: kept.append("another", EMPTY),
     f"temporary file in {tempfile.gettempdir()}": lambda scene, _: build(

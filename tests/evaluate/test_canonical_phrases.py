@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from evaluate.study_scenes import study_scene
-from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.query import build
 from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
@@ -57,7 +57,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
     words = (*WORDS, *CANONICAL_PHRASES)
     vectors = unit(torch.randn(len(words), 16, generator=torch.Generator().manual_seed(4)))
     path = tmp_path_factory.mktemp("words") / "text.npz"
-    save_table(path, words, vectors)
+    WordTable.save(path, words, vectors)
     return path, vectors[-4:]
 
 

@@ -14,7 +14,7 @@ from scoup.extract import extract, find_photographs, open_embedder, open_segment
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import RegionEmbedder
 from scoup.extract.masks import Masks
-from scoup.io import load_regions, read_manifest
+from scoup.io import RegionManifest, load_regions
 from scoup.scene import Camera
 from tiny_models import saved, tiny_clip, tiny_siglip
 
@@ -63,7 +63,7 @@ def test_an_extraction_with_it_names_the_model_for_texts(folder: Path, tmp_path:
     out = tmp_path / "regions"
     segmenter, embedder = open_segmenter("felzenszwalb"), open_embedder(f"dense:{folder}")
     extract(find_photographs(photographs), out, segmenter, embedder)
-    manifest = read_manifest(out)
+    manifest = RegionManifest.read(out)
     assert manifest is not None
     assert manifest.settings["embedder"] == str(folder)
     assert manifest.settings["embedder_pooling"] == "dense"

@@ -34,7 +34,7 @@ from scoup.io.detections import DetectionStore
 from scoup.io.images import image_fault
 from scoup.io.regions.store import read_view
 from scoup.io.splats.gltf import read_gltf
-from scoup.models import load_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Camera, Cameras, SparseCodes
 from scoup.uplift import RegionSums, vote
@@ -194,7 +194,7 @@ def _picture(file: str, *more: str, containers: tuple[Container, ...] = ()) -> R
 
 
 def _words(file: str, *more: str, containers: tuple[Container, ...] = (), memory: Memory = MEMORY) -> Reader:
-    return Reader(file, lambda folder: load_table(folder / file), more, containers, memory)
+    return Reader(file, lambda folder: WordTable.load(folder / file), more, containers, memory)
 
 
 _SPZ = ("many.spz", "version1.spz", "version2.spz", "alike.spz")

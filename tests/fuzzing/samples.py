@@ -37,13 +37,12 @@ from tests.io_samples import (
 from tests.support import small_scene
 
 from scoup.io import (
-    GaussianFeatures,
+    DetectionStore,
+    PlyTable,
     RegionManifest,
     as_stored,
-    new_store,
     save_gaussians,
     save_png,
-    table_from_gaussians,
     write_colmap,
     write_gltf,
     write_transforms,
@@ -51,7 +50,7 @@ from scoup.io import (
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import write_manifest
 from scoup.io.splats.formats import FORMATS
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections, Gaussians
 from scoup.uplift import region_sums
@@ -99,9 +98,9 @@ def _write_splats(folder: Path) -> None:
         save_spz(few, folder / f"version{version}.spz", version)
     save_spz(some_gaussians(MANY, degree=4), folder / "many4.spz", 4)
     (folder / "a.unpacked").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
-    features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
+    ids = torch.tensor([0, 1, -1, 1])
     for ending in ("glb", "gltf"):
-        write_gltf(few, folder / f"a.{ending}", features=features)
+        write_gltf(few, folder / f"a.{ending}", ids=ids, names=("chair", "table"))
         write_gltf(some_gaussians(MANY, degree=0), folder / f"many.{ending}")
     spz_in_gltf(folder, few)
     save_compressed_ply(folder / "packed.ply", count=4)
@@ -123,7 +122,7 @@ def _write_alike(folder: Path) -> None:
 
 
 def _write_ascii_ply(path: Path, gaussians: Gaussians) -> None:
-    rows = table_from_gaussians(gaussians).rows
+    rows = PlyTable.of(gaussians).rows
     ply_file(path, {name: rows[name] for name in rows.dtype.names or ()}, "ascii")
 
 
@@ -153,7 +152,7 @@ def _write_cameras(folder: Path) -> None:
 
 def _write_detections(folder: Path) -> None:
     box = torch.tensor([[1.0, 2.0, 5.0, 4.0]])
-    store = new_store(folder, ("mug", "kettle"), {"model": "a"})
+    store = DetectionStore.new(folder, ("mug", "kettle"), {"model": "a"})
     store.begin()
     store.write("view_00.png", "0", Detections(torch.tensor([1]), torch.tensor([0.5]), box, SIZE))
 
@@ -193,7 +192,7 @@ def _write_words_and_labels(folder: Path) -> None:
 
     vectors = torch.arange(1.0, 13.0).view(3, 4)
     names = ["cup", "chair", "table"]
-    save_table(folder / "words.npz", names, vectors, model="a/model")
+    WordTable.save(folder / "words.npz", names, vectors, model="a/model")
     np.savez_compressed(folder / "single.npz", **dict(zip(names, vectors.numpy(), strict=True)))  # pyright: ignore[reportArgumentType]
     alike = np.ones((3, 500_000), np.float32)
     np.savez_compressed(folder / "alike.npz", names=np.array(names), vectors=alike)

@@ -28,7 +28,7 @@ from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions
 from scoup.io.regions.compact import open_view, write_view
-from scoup.io.regions.manifest import RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions
 from scoup.scene import LEVELS
@@ -101,7 +101,7 @@ def test_several_processes_may_write_one_manifest(tmp_path: Path) -> None:
     write_manifest(tmp_path, MANIFEST_OF_TESTS)
     with refuses():
         write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, embedding_model="another"))
-    assert read_manifest(tmp_path) == MANIFEST_OF_TESTS
+    assert RegionManifest.read(tmp_path) == MANIFEST_OF_TESTS
 
 
 # ---- conversion
@@ -125,7 +125,7 @@ def test_langsplat_to_compact_is_lossless(tmp_path: Path) -> None:
         np.save(source / f"{stem}_f.npy", rng.normal(size=(start, 6)).astype(np.float32))
     report = convert_regions(tmp_path, tmp_path / "32", bits=32, embedding_model="some/model")
     assert report.views == 3
-    assert read_manifest(tmp_path / "32") == RegionManifest(
+    assert RegionManifest.read(tmp_path / "32") == RegionManifest(
         "some/model", {"bits": 32, "converted_from": "langsplat"}
     )
     convert_regions(tmp_path, tmp_path / "16")

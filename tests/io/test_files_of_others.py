@@ -35,7 +35,7 @@ from scoup.io import (
 )
 from scoup.io.cameras.colmap import read_tracks
 from scoup.io.reading import read_text
-from scoup.io.splats.ply import read_ply_table, write_ply_table
+from scoup.io.splats.ply import PlyTable
 from scoup.scene import SH_C0, Cameras
 
 
@@ -143,12 +143,12 @@ def test_cameras_are_found_by_names_of_any_form() -> None:
 
 def changed_columns(path: Path, gone: str, **added: np.ndarray) -> None:
     """Rewrite a PLY without some properties, and with others."""
-    table = read_ply_table(path)
+    table = PlyTable.read(path)
     kept = [name for name in table.names if not re.fullmatch(gone, name)]
     table = replace(table, rows=table.rows[kept].astype([(name, table.rows.dtype[name]) for name in kept]))
     for name, column in added.items():
         table = table.with_column(name, column)
-    write_ply_table(table, path, overwrite=True)
+    table.write(path, overwrite=True)
 
 
 @pytest.mark.parametrize(("gone", "added", "change"), [

@@ -30,7 +30,7 @@ from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
-from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
+from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
@@ -44,8 +44,7 @@ def test_features_are_written_by_the_rules(tmp_path_factory, count, suffix, data
     path = tmp_path_factory.mktemp("features") / f"a{suffix}"
     names = ("chair", "Tür", "窓")
     ids = data.draw(st.none() | st.lists(st.integers(-1, 2), min_size=count, max_size=count))
-    features = None if ids is None else GaussianFeatures(torch.tensor(ids), names)
-    write_gltf(some_gaussians(count, 3), path, features=features)
+    write_gltf(some_gaussians(count, 3), path, ids=None if ids is None else torch.tensor(ids), names=names)
     check_rules(path)
     assert features_of(path) == (None if ids is None else (ids, names))
 
@@ -71,7 +70,7 @@ def test_ids_take_the_smallest_type_that_holds_them(tmp_path, count, code):
     gaussians = some_gaussians(4, 0)
     names = tuple(f"class {number}" for number in range(count))
     ids = torch.tensor([0, -1, count - 1, count // 2])
-    write_gltf(gaussians, tmp_path / "a.glb", features=GaussianFeatures(ids, names))
+    write_gltf(gaussians, tmp_path / "a.glb", ids=ids, names=names)
     check_rules(tmp_path / "a.glb")
     root, _ = opened(tmp_path / "a.glb")
     assert root["accessors"][-1]["componentType"] == code

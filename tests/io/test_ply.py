@@ -26,15 +26,7 @@ from scoup.io.splats.activation import (
     opacities_from_logits,
     scales_from_logs,
 )
-from scoup.io.splats.ply import (
-    as_stored,
-    gaussians_from_table,
-    read_ply,
-    read_ply_table,
-    table_from_gaussians,
-    write_ply,
-    write_ply_table,
-)
+from scoup.io.splats.ply import PlyTable, as_stored, read_ply, write_ply
 from scoup.io.splats.splat import read_splat
 from scoup.scene import SH_C0
 from support import random_gaussians
@@ -61,7 +53,7 @@ def test_every_raw_scale_and_opacity_survives(raw):
 def test_opacity_one_and_zero(tmp_path):
     gaussians = replace(some_gaussians(2), opacities=torch.tensor([1.0, 0.0]))
     write_ply(gaussians, tmp_path / "a.ply")
-    assert read_ply_table(tmp_path / "a.ply").rows["opacity"].tolist() == [np.inf, -np.inf]
+    assert PlyTable.read(tmp_path / "a.ply").rows["opacity"].tolist() == [np.inf, -np.inf]
     assert read_ply(tmp_path / "a.ply").opacities.tolist() == [1.0, 0.0]
 
 
@@ -108,8 +100,8 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path):
     [("SplatRenderMode: mip", True), ("SplatRenderMode: default", False), ("antialiased 1", True)],
 )
 def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
-    table = replace(table_from_gaussians(some_gaussians(3)), comments=(comment,))
-    write_ply_table(table, tmp_path / "a.ply")
+    table = replace(PlyTable.of(some_gaussians(3)), comments=(comment,))
+    table.write(tmp_path / "a.ply")
     gaussians = load_gaussians(tmp_path / "a.ply")
     for name in ("b.ply", "b.compressed.ply", "b.spz"):
         save_gaussians(gaussians.select([0, 1]), tmp_path / name)
@@ -127,7 +119,7 @@ def test_windows_line_ends_and_comments(tmp_path):
     header = header.replace(b"ply\n", b"ply\ncomment made by hand\nobj_info x\n", 1)
     path.write_bytes(header.replace(b"\n", b"\r\n") + b"end_header\r\n" + body)
     assert same_gaussians(plain, read_ply(path))
-    assert read_ply_table(path).comments == ("made by hand",)
+    assert PlyTable.read(path).comments == ("made by hand",)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
@@ -136,9 +128,9 @@ def test_comments_beyond_ascii_are_read_and_written(tmp_path, encoding):
     comment = "made by Zoë\N{NO-BREAK SPACE}à"
     path.write_bytes(path.read_bytes().replace(b"ply\n", f"ply\ncomment {comment}\n".encode(encoding), 1))
     for _ in range(2):
-        table = read_ply_table(path)
+        table = PlyTable.read(path)
         assert table.comments == (comment,)
-        write_ply_table(table, path, overwrite=True)
+        table.write(path, overwrite=True)
 
 
 def test_elements_before_and_after(tmp_path):
@@ -160,9 +152,9 @@ def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path):
     for part in range(4):
         columns[f"rot_{part}"][5] = 0
     columns["opacity"][6] = np.inf
-    table = read_ply_table(ply_file(tmp_path / "a.ply", columns))
+    table = PlyTable.read(ply_file(tmp_path / "a.ply", columns))
     with warns(ScoupWarning):
-        gaussians, kept = gaussians_from_table(table)
+        gaussians, kept = table.gaussians()
     assert np.flatnonzero(kept).tolist() == [0, 6, 7]
     assert len(gaussians) == 3
     assert gaussians.opacities[1] == 1
@@ -171,22 +163,22 @@ def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path):
 def test_select_keeps_rows_byte_for_byte(tmp_path):
     columns = {"label": np.arange(6, dtype=np.int32), **raw_columns(6)}
     path = ply_file(tmp_path / "a.ply", columns)
-    table = read_ply_table(path)
-    write_ply_table(table, tmp_path / "b.ply")
+    table = PlyTable.read(path)
+    table.write(tmp_path / "b.ply")
     assert (tmp_path / "b.ply").read_bytes() == path.read_bytes()
     big = ply_file(tmp_path / "big.ply", columns, "binary_big_endian")
-    write_ply_table(read_ply_table(big), tmp_path / "little.ply")
+    PlyTable.read(big).write(tmp_path / "little.ply")
     assert (tmp_path / "little.ply").read_bytes() == path.read_bytes()
     chosen = np.array([True, False, True, False, False, True])
-    write_ply_table(table.select(chosen), tmp_path / "c.ply")
-    assert read_ply_table(tmp_path / "c.ply").rows.tobytes() == table.rows[chosen].tobytes()
+    table.select(chosen).write(tmp_path / "c.ply")
+    assert PlyTable.read(tmp_path / "c.ply").rows.tobytes() == table.rows[chosen].tobytes()
 
 
 def test_a_column_can_be_added(tmp_path):
-    table = read_ply_table(ply_file(tmp_path / "a.ply", raw_columns(4)))
+    table = PlyTable.read(ply_file(tmp_path / "a.ply", raw_columns(4)))
     wider = table.with_column("object", np.array([7, 8, 9, 10], ">i8"))
-    write_ply_table(wider, tmp_path / "b.ply")
-    again = read_ply_table(tmp_path / "b.ply")
+    wider.write(tmp_path / "b.ply")
+    again = PlyTable.read(tmp_path / "b.ply")
     assert again.rows["object"].tolist() == [7, 8, 9, 10]
     assert np.array_equal(again.rows["x"], table.rows["x"])
     replaced = again.with_column("object", np.ones(4, dtype=bool))
@@ -217,7 +209,7 @@ def test_a_folder_is_no_file(tmp_path):
 
 
 def test_table_from_memory_has_the_inria_layout():
-    names = table_from_gaussians(some_gaussians(2, degree=3)).names
+    names = PlyTable.of(some_gaussians(2, degree=3)).names
     assert len(names) == 62
     assert names[:10] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0")
     assert " ".join(names[-8:]) == "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
@@ -256,7 +248,7 @@ def test_rows_of_compressed_ply(tmp_path: Path) -> None:
     np.testing.assert_allclose(green[inner], (raw[inner, 4] + 0.5) / 32 - 4, atol=1e-6)
     assert set(green[~inner].tolist()) <= {-4.0, 4.0}
     with refuses(FileFormatError):
-        gaussians_from_table(read_ply_table(path))
+        PlyTable.read(path).gaussians()
 
 
 def test_an_independent_library_reads_compressed_ply(tmp_path: Path) -> None:
@@ -295,10 +287,10 @@ def test_rows_that_are_not_finite_are_dropped_with_one_warning(
     tmp_path: Path, small_parts: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_ply(random_gaussians(40, seed=0), tmp_path / "a.ply")
-    table = read_ply_table(tmp_path / "a.ply")
+    table = PlyTable.read(tmp_path / "a.ply")
     for row in (0, 13, 39):
         table.rows["x"][row] = np.nan
-    write_ply_table(table, tmp_path / "b.ply")
+    table.write(tmp_path / "b.ply")
     with warns(ScoupWarning) as found:
         large = load_gaussians(tmp_path / "b.ply")
     assert len(found) == 1

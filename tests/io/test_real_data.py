@@ -14,15 +14,14 @@ from io_samples import angles, camera_difference, same_gaussians
 from messages import warns
 from scoup.base import ScoupWarning
 from scoup.io import (
+    PlyTable,
     load_cameras,
     load_gaussians,
     load_image,
     load_regions,
-    read_ply_table,
     read_points,
     read_tracks,
     save_gaussians,
-    write_ply_table,
 )
 from scoup.io.cameras.inria import read_cfg_args
 from scoup_lab.evaluate.studies.matches import tracked_points
@@ -33,7 +32,7 @@ pytestmark = pytest.mark.data
 def test_guitar(data_folder):
     gaussians = load_gaussians(data_folder / "guitar" / "guitar.ply")
     assert len(gaussians) == 90_854
-    raw = read_ply_table(data_folder / "guitar" / "guitar.ply").rows["opacity"]
+    raw = PlyTable.read(data_folder / "guitar" / "guitar.ply").rows["opacity"]
     assert np.isposinf(raw).sum() == 667
     assert bool((gaussians.opacities[torch.from_numpy(np.isposinf(raw))] == 1).all())
     assert gaussians.sh_degree == 0
@@ -50,7 +49,7 @@ def test_real_files_survive_writing(data_folder, tmp_path, name):
     again = load_gaussians(tmp_path / "again.ply")
     assert same_gaussians(gaussians, again)
     assert gaussians.fingerprint() == again.fingerprint()
-    write_ply_table(read_ply_table(data_folder / name), tmp_path / "table.ply")
+    PlyTable.read(data_folder / name).write(tmp_path / "table.ply")
     assert (tmp_path / "table.ply").read_bytes() == (data_folder / name).read_bytes()
 
 

@@ -21,19 +21,12 @@ from io_samples import (
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
-from scoup.io import (
-    as_stored,
-    camera_photographs,
-    load_cameras,
-    load_gaussians,
-    load_image,
-    save_gaussians,
-    splat_source,
-)
+from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
-from scoup.io.splats.ply import table_from_gaussians, write_ply_table
+from scoup.io.scenes import camera_photographs
+from scoup.io.splats.ply import PlyTable
 from scoup.scene import sanity_problems
 
 
@@ -219,10 +212,10 @@ def test_gaussians_of_every_kind(tmp_path):
 def test_far_from_the_origin_is_refused_and_5_km_are_not(tmp_path):
     gaussians = some_gaussians(50)
     for name, shift in (("near.ply", (5000.0, -4000.0, 0.0)), ("utm.ply", (500000.0, 4649776.0, 120.0))):
-        table = table_from_gaussians(gaussians)
+        table = PlyTable.of(gaussians)
         for axis, value in zip("xyz", shift, strict=True):
             table = table.with_column(axis, table.rows[axis].astype(np.float64) + value)
-        write_ply_table(table, tmp_path / name)
+        table.write(tmp_path / name)
     assert len(load_gaussians(tmp_path / "near.ply")) == 50
     with refuses(FileFormatError):
         load_gaussians(tmp_path / "utm.ply")

@@ -17,7 +17,8 @@ from splat_damages import spz as packed
 from io_samples import angles, same_gaussians, save_spz, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import FileFormatError, ScoupWarning
-from scoup.io import load_gaussians, write_ply
+from scoup.io import load_gaussians
+from scoup.io.splats.ply import write_ply
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
 from scoup.scene import Gaussians, rotation_matrices, sh_basis

@@ -19,7 +19,7 @@ from scoup.models import text, word_cache
 from scoup.models.hub import ModelIdentity, file_states
 from scoup.models.text import TextEncoder
 from scoup.models.word_cache import PROBE, cache_folder
-from scoup.models.word_table import load_table
+from scoup.models.word_table import WordTable
 from scoup.models.words import EVERYDAY_WORDS
 from support import unit
 from tiny_models import save_text_clip
@@ -94,7 +94,7 @@ def test_what_the_key_depends_on(cache: Path) -> None:
     ask()
     (path,) = cache.iterdir()
     assert path.name.startswith("a-model-c0ffee-")
-    assert load_table(path).names == (PROBE, *NAMES)
+    assert WordTable.load(path).names == (PROBE, *NAMES)
     others: list[tuple[ModelIdentity, Sequence[str], int]] = [
         (replace(MODEL, name="a/another"), NAMES, 0), (replace(MODEL, revision="0ff"), NAMES, 0),
         (replace(MODEL, package="package 2"), NAMES, 0), (replace(MODEL, files=("weights 3 4",)), NAMES, 0),

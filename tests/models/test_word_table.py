@@ -16,7 +16,7 @@ from children import finished
 from messages import refuses
 from scoup.base import FileFormatError, MissingFileError, OutputExistsError, UnknownNameError
 from scoup.models.text import TextEncoder
-from scoup.models.word_table import load_table, save_table
+from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
 from support import unit
 
@@ -81,7 +81,7 @@ def test_missing_word_lists_the_nearest_names_and_the_file(tmp_path: Path) -> No
 
 def test_save_table(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "words.npz"
-    save_table(path, NAMES, torch.from_numpy(VECTORS), model="some/model")
+    WordTable.save(path, NAMES, torch.from_numpy(VECTORS), model="some/model")
     encoder = TextEncoder.open(path)
     assert encoder.name == "some/model"
     torch.testing.assert_close(encoder.encode(NAMES), UNIT)
@@ -89,7 +89,7 @@ def test_save_table(tmp_path: Path) -> None:
     assert loaded["names"].tolist() == NAMES
     before = path.read_bytes()
     with pytest.raises(OutputExistsError):
-        save_table(path, ["x"], [[1.0]])
+        WordTable.save(path, ["x"], [[1.0]])
     for names, vectors in (
         (["a"], [[0.0, 0.0]]),
         (["a", "b"], [[1.0]]),
@@ -97,12 +97,12 @@ def test_save_table(tmp_path: Path) -> None:
         ([], []),
     ):
         with refuses():
-            save_table(path, names, vectors, overwrite=True)
+            WordTable.save(path, names, vectors, overwrite=True)
     assert path.read_bytes() == before
-    save_table(path, NAMES, VECTORS, overwrite=True, model="some/model")
+    WordTable.save(path, NAMES, VECTORS, overwrite=True, model="some/model")
     assert path.read_bytes() == before
     with refuses():
-        save_table(tmp_path / "words.json", NAMES, VECTORS)
+        WordTable.save(tmp_path / "words.json", NAMES, VECTORS)
 
 
 def test_absent_tables_and_those_that_are_no_tables(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_bad_arrays(tmp_path: Path) -> None:
     for arrays in BAD:
         np.savez(tmp_path / "bad.npz", **arrays)  # pyright: ignore
         with refuses(FileFormatError):
-            load_table(tmp_path / "bad.npz")
+            WordTable.load(tmp_path / "bad.npz")
 
 
 def test_a_claim_of_endless_data_takes_no_memory(tmp_path: Path) -> None:
@@ -142,13 +142,13 @@ def test_a_claim_of_endless_data_takes_no_memory(tmp_path: Path) -> None:
         archive.writestr("vectors.npy", member)
         archive.writestr("names.npy", member)
     with refuses(FileFormatError):
-        load_table(path)
+        WordTable.load(path)
 
 
 def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:
     names = ["red apple", "Object", "chair", "things", "stuff", "texture"]
     vectors = np.random.default_rng(0).normal(size=(6, 5)).astype(np.float32)
-    save_table(tmp_path / "words.npz", names, vectors)
+    WordTable.save(tmp_path / "words.npz", names, vectors)
     encoder = TextEncoder.open(tmp_path / "words.npz")
     assert encoder.names == tuple(names)
     assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
@@ -182,9 +182,9 @@ def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
     for length in (1000, 3_000_000):
         vectors = np.ones((2, length), np.float32)
         np.savez_compressed(tmp_path / f"{length}.npz", names=np.array(["a", "b"]), vectors=vectors)
-    assert load_table(tmp_path / "1000.npz").vectors.shape == (2, 1000)
+    assert WordTable.load(tmp_path / "1000.npz").vectors.shape == (2, 1000)
     with refuses(FileFormatError):
-        load_table(tmp_path / "3000000.npz")
+        WordTable.load(tmp_path / "3000000.npz")
 
 
 def test_canonical_phrases_are_the_papers() -> None:

@@ -129,7 +129,7 @@ def test_a_given_span_makes_pictures_comparable():
 @pytest.mark.parametrize("width", [120, 288, 960, 1640])
 @pytest.mark.parametrize(("low", "high"), [(0.48, 0.59), (0.1, 0.95), (0.5, 0.5)])
 def test_ticks_and_colours_of_the_legend_stand_at_their_relevancy(width: int, low: float, high: float):
-    legend = heat_legend(width, low, high).astype(int)
+    legend = heat_legend(np.zeros((1, width, 3), np.uint8), low, high)[1:].astype(int)
     first, last = scale_ends(width)
     bar = next(y for y in range(len(legend)) if (legend[y, first:last] != PAPER).any(1).all()) + 1
     bottom = max(y for y in range(len(legend)) if (legend[y, first:last] != PAPER).any(1).all())
@@ -148,19 +148,23 @@ def test_ticks_and_colours_of_the_legend_stand_at_their_relevancy(width: int, lo
 def test_the_legend_says_what_a_draw_is(monkeypatch: pytest.MonkeyPatch):
     texts = []
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda self, at, text, *a, **k: texts.append(text))
-    heat_legend(960, 0.48, 0.59)
-    heat_legend(120, 0.48, 0.59)
+    for width in (960, 120):
+        heat_legend(np.zeros((1, width, 3), np.uint8), 0.48, 0.59)
     wide = ["0", "1", "0.5: draw with the canonical phrases", "clear below 0.48", "largest 0.59"]
     assert texts == [*wide, "0", "1", "0.5: draw"]
 
 
 def test_swatches_are_as_many_as_fit():
     colors = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]
-    wide = swatch_legend(600, "what colours mean", "some of them", colors, ["7", "12", "130"])
+    wide = swatch_legend(
+        np.zeros((1, 600, 3), np.uint8), "what colours mean", "some of them", colors, ["7", "12", "130"]
+    )
     assert all((wide == color).all(2).sum() > 20 for color in colors)
-    narrow = swatch_legend(120, "what colours mean", "some of them", colors * 9, ["100"] * 27)
+    narrow = swatch_legend(
+        np.zeros((1, 120, 3), np.uint8), "what colours mean", "some of them", colors * 9, ["100"] * 27
+    )
     assert narrow.shape[1] == 120
-    assert (narrow[:, -3:] == PAPER).all()
+    assert (narrow[1:, -3:] == PAPER).all()
 
 
 def test_an_answer_over_the_heat():

@@ -11,7 +11,7 @@ import torch
 
 from messages import refuses
 from query.conftest import Queried
-from scoup.io import gaussians_from_table, read_ply_table, save_gaussians
+from scoup.io import PlyTable, save_gaussians
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.drawing import moving_cameras
@@ -126,13 +126,13 @@ def test_a_turntable_needs_a_thing(queried: Queried) -> None:
 def test_rows_are_those_of_the_splat(queried: Queried, tmp_path: Path) -> None:
     gaussians = queried.field.gaussians
     save_gaussians(gaussians, tmp_path / "a.ply")
-    stored = read_ply_table(tmp_path / "a.ply")
+    stored = PlyTable.read(tmp_path / "a.ply")
     mask = torch.arange(len(gaussians)) % 3 == 0
     # The file holds rounded numbers, so it is not the geometry of this field: rows are made from the Gaussians.
     for rows in (SplatTable.of(queried.field), SplatTable.of(queried.field, tmp_path / "a.ply")):
         assert rows.is_gaussian.all()
         assert len(rows.table) == len(gaussians)
-        chosen, _ = gaussians_from_table(rows.select(mask))
+        chosen, _ = rows.select(mask).gaussians()
         assert torch.equal(chosen.means, gaussians.means[mask])
     rows = SplatTable(stored, torch.ones(len(gaussians), dtype=torch.bool))
     assert rows.select(mask).rows.tobytes() == stored.rows[mask.numpy()].tobytes()

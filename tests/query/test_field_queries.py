@@ -17,7 +17,7 @@ from messages import refuses
 from query.conftest import Queried
 from scoup import raster
 from scoup.base import InputError, MissingFileError, UnknownNameError
-from scoup.models import CANONICAL_PHRASES, save_table
+from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
@@ -110,7 +110,7 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_but_for_copies(
 def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Tensor], tmp_path: Path) -> None:
     field = queried.field
     (tmp_path / "scene").mkdir()
-    save_table(tmp_path / "scene" / "words.npz", list(table), torch.stack(list(table.values())))
+    WordTable.save(tmp_path / "scene" / "words.npz", list(table), torch.stack(list(table.values())))
     named = altered(field, info=replace(field.info, words=tmp_path / "scene" / "words.npz"))
     named.at(0).answer("word 5")  # what is remembered for views is not saved
     named.save(tmp_path / "scene" / "f.scoup")

@@ -16,7 +16,7 @@ from PIL import Image
 from gltf_samples import features_of
 from query.conftest import Queried
 from scoup import raster
-from scoup.io import read_ply_table
+from scoup.io import PlyTable
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
@@ -64,7 +64,7 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
     ids = np.load(tmp_path / "labels.npy", allow_pickle=False)
     assert ids.dtype == np.int32
     assert ids.tolist() == labels.ids.tolist()
-    table = read_ply_table(tmp_path / "labels.ply")
+    table = PlyTable.read(tmp_path / "labels.ply")
     assert table.rows["label"].tolist() == labels.ids.tolist()
     assert table.rows["thing"].tolist() == labels.instances.tolist()
     assert table.rows["label"].dtype == table.rows["thing"].dtype == np.int32
@@ -74,7 +74,7 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
         assert entry["gaussians"] == int((labels.ids == entry["id"]).sum())
         assert entry["level"] in queried.field.levels
     for name, file in ((labels.names[0], "word-0"), ("none", "none")):
-        cloud = read_ply_table(tmp_path / "clouds" / f"{file}.ply")
+        cloud = PlyTable.read(tmp_path / "clouds" / f"{file}.ply")
         means = np.stack([cloud.rows[axis] for axis in "xyz"], 1)
         assert np.array_equal(means, queried.field.gaussians.means[labels.mask(name)].numpy())
     with Image.open(tmp_path / "maps" / "first.png") as picture:

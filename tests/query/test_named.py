@@ -15,7 +15,7 @@ from cli_support import run
 from messages import refuses
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.field import NameTable
-from scoup.models import TextEncoder, everyday_vocabulary, save_table
+from scoup.models import TextEncoder, WordTable
 from scoup.query import constants
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice
@@ -120,7 +120,7 @@ def test_names_come_first_in_catalogues_and_lists() -> None:
 
 def test_a_name_that_a_model_gave_is_tried_once() -> None:
     field = named_room({"Lamp": {LAMP: 0.5}, "lamps": {BALL: 0.5}, "ufo": {BALL: 0.5}})
-    assert field.naming_question().texts == everyday_vocabulary(field.encoder)
+    assert field.naming_question().texts == field.encoder.vocabulary()
     field = field.with_encoder(TextEncoder("", 32, lambda phrases: torch.ones(len(phrases), 32)))
     texts = field.naming_question().texts
     assert [texts.count(text) for text in ("lamp", "Lamp", "lamps", "ufo")] == [1, 0, 1, 1]
@@ -187,7 +187,7 @@ def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.M
     path, words = tmp_path / "room.scoup", tmp_path / "words.npz"
     field.save(path, weight_bits=8)
     names = field.encoder.names or ()
-    save_table(words, names, field.encoder.encode(names))
+    WordTable.save(words, names, field.encoder.encode(names))
     monkeypatch.setattr("scoup.query.refinement.open_concepts", lambda name, device: Finder(field, BALL))
     query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
     # The second time, the file has not changed.

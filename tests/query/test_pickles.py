@@ -14,7 +14,7 @@ import torch
 
 from messages import refuses
 from query.conftest import WORDS, random_vectors
-from scoup.models import TextEncoder, save_table
+from scoup.models import TextEncoder, WordTable
 from scoup.query.answer import Answer, answer_relevancy
 from scoup.query.language_field import LanguageField
 
@@ -56,7 +56,7 @@ def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
 def test_encoders(tmp_path: Path, copied: Callable[[Any], Any]) -> None:
     vectors = random_vectors(len(WORDS), 16, seed=5)
-    save_table(tmp_path / "words.npz", WORDS, vectors)
+    WordTable.save(tmp_path / "words.npz", WORDS, vectors)
     for encoder in (
         TextEncoder.open(dict(zip(WORDS, vectors, strict=True))),
         TextEncoder.open(tmp_path / "words.npz"),

@@ -12,7 +12,7 @@ import torch
 from messages import refuses, warns
 from query.conftest import Queried, random_vectors
 from scoup.base import ScoupWarning, UnknownNameError
-from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, save_table, with_everyday
+from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, WordTable, with_everyday
 from scoup.query.language_field import LanguageField
 from scoup.query.question import TextVectors, check_encoder, encode_texts
 from support import altered
@@ -21,7 +21,7 @@ WORDS = ("kettle", "mug")
 
 
 def encoder_of(path: Path, names: tuple[str, ...], dim: int = 16) -> TextEncoder:
-    save_table(path, names, random_vectors(len(names), dim).numpy())
+    WordTable.save(path, names, random_vectors(len(names), dim).numpy())
     return TextEncoder.open(path)
 
 
@@ -71,7 +71,7 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
     words = Path(named) if named.endswith(".npz") else None
     built = altered(field, info=replace(field.info, embedding_model="" if words else named, words=words))
     names = (*WORDS, *CANONICAL_PHRASES)
-    save_table(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
+    WordTable.save(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
     with refuses():
         check_encoder(built, TextEncoder.open(tmp_path / "wide.npz"))
 

@@ -11,7 +11,7 @@ import torch
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import assert_close, assert_same_sums, both, needs_native, same_bytes, sure_pixels
 from scoup import raster
-from scoup.base import require_core
+from scoup.base import required_core
 from support import make_camera, random_gaussians, random_labels, threads_of_torch, unit
 
 pytestmark = needs_native
@@ -32,7 +32,8 @@ def test_memory_of_views_is_given_back():
     gaussians = random_gaussians(600_000, seed=1)
     project()  # 38 MB of projected Gaussians, kept for the next view: malloc returns blocks above 32 MB at once
     before = _resident_bytes()
-    require_core().release_memory()
+    with required_core() as core:
+        core.release_memory()
     assert _resident_bytes() < before - 20e6
     assert project().n_gaussians == 600_000  # and taken anew
 
@@ -58,7 +59,8 @@ def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype
 @pytest.mark.parametrize("kind", HARD_KINDS)
 @pytest.mark.parametrize("preset", ["inria", "gsplat"])
 def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, preset):
-    assert require_core().current_isa() == instruction_set
+    with required_core() as core:
+        assert core.current_isa() == instruction_set
     gaussians, camera = hard_scene(kind, 11)
     sure = sure_pixels(gaussians, camera, preset)
     labels = random_labels(LEVELS, camera.height, camera.width, REGIONS, 0)

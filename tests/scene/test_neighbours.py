@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raster.parity import needs_native
-from scoup.base import require_core
+from scoup.base import native_core
 from scoup.scene import neighbours
 from scoup.scene.neighbours import linked_parts, nearest_points
 from support import examples, threads_of_torch
@@ -85,7 +85,8 @@ def test_the_same_for_any_number_of_threads() -> None:
 
 @needs_native
 def test_bad_arguments_are_refused() -> None:
-    core = require_core()
+    core = native_core()
+    assert core is not None
     with pytest.raises(ValueError, match="finite"):
         core.nearest_points(np.full((3, 3), np.nan), 1, 1)
     with pytest.raises(ValueError, match="more points"):

@@ -13,7 +13,7 @@ from PIL import Image
 from messages import refuses
 from scoup.base import OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
-from scoup.models import load_table
+from scoup.models import WordTable
 from scoup_lab.data.labels import read_labels
 from scoup_lab.evaluate.protocols import PIXELS, threed_ovs
 from scoup_lab.evaluate.scenes import Places
@@ -33,7 +33,7 @@ def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) 
     assert len(regions) == 6
     assert len(read_points(root / "table" / "sparse" / "0")[0]) == 4000
     assert len(scene.frames) == 2
-    table = load_table(root / "table" / "text.npz")
+    table = WordTable.load(root / "table" / "text.npz")
     assert {*scene.labels, "object", "things", "stuff", "texture"} <= set(table.names)
     for camera in scene.cameras:
         assert camera.image_path is not None

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from scoup.base import OutputExistsError
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.models import load_table
+from scoup.models import WordTable
 from scoup.scene import LEVELS
 from scoup_lab.data.labels import match_frames, read_labels
 from scoup_lab.synthetic import DemoScene, write_demo_scene
@@ -38,7 +38,7 @@ def test_gaussians_cameras_regions_and_words_come_back(scene: DemoScene, folder:
         there, here = regions.load(cameras[0].name, level), scene.regions.load(cameras[0].name, level)
         assert torch.equal(there.labels, here.labels)
         assert torch.allclose(there.embeddings, here.embeddings, atol=1e-6)
-    table = load_table(folder / "text.npz")
+    table = WordTable.load(folder / "text.npz")
     assert table.names == scene.words.texts
     assert np.abs(table.vectors - scene.words.vectors).max() < 1e-6
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from scoup.io import load_gaussians
-from scoup.models import load_table
+from scoup.models import WordTable
 from scoup_lab.data.labelled_points import NYU40, read_labelled_ply
 from scoup_lab.synthetic import DemoScene, make_demo_scene
 from scoup_lab.synthetic.point_truth import NYU40_OF
@@ -37,7 +37,7 @@ def test_scannet(synthetic_data_sets: Path) -> None:
     for thing, number in {"wall": 1, "chair": 5, "shelf": 10, "red book": 23, "kettle": 40}.items():
         assert (points.labels[of_object(scene, thing)] == number).all()
     assert (points.labels[scene.part_of_gaussian < 0] == 0).all()
-    table = load_table(folder / "text.npz")
+    table = WordTable.load(folder / "text.npz")
     assert set(NYU40) <= set(table.names)
     vector = dict(zip(table.names, table.vectors, strict=True))
     assert np.allclose(vector["bookshelf"], vector["shelf"])

@@ -14,9 +14,10 @@ from messages import refuses
 from scoup.base import FileFormatError
 from scoup.field import relevancy
 from scoup.io import load_gaussians, read_autoencoder, read_langsplat
+from scoup.io.gaussian_features import read_features
 from scoup.query import LanguageField
 from scoup.uplift import foreign
-from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
+from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels
 from support import unit
 
 

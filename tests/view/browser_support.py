@@ -168,10 +168,10 @@ def views(width: int = 160, height: int = 120) -> Cameras:
 
 def saved_field(folder: Path) -> Path:
     """The field of things as a file with its geometry, and ``words.npz`` beside it."""
-    from scoup.models import save_table
+    from scoup.models import WordTable
 
     words = folder / "words.npz"
-    save_table(words, list(table()), torch.stack(list(table().values())).numpy())
+    WordTable.save(words, list(table()), torch.stack(list(table().values())).numpy())
     field = things_field()
     field.info = replace(field.info, words=words)
     field.save(folder / "things.scoup", embed_geometry=True)

@@ -14,7 +14,7 @@ from view_samples import PAGE
 
 from cli_support import run, run_json
 from query.planted_room import ABSENT, FRONT, ROOM, Box, planted_room
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.view.guard import Guard
 from scoup.view.scene_tools import SceneTools
@@ -55,7 +55,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     field = planted_room((*ROOM, Box("salt and pepper", (1.5, -0.5, 1.1), (0.2, 0.2, 0.2))))
     encoder = field.encoder
     assert encoder.names is not None
-    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
+    WordTable.save(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
     info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
     altered(field, info=info).save(folder / "room.scoup")
     return folder / "room.scoup"

@@ -17,10 +17,10 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 
 from messages import refuses
 from scoup.base import UnknownNameError
-from scoup.cli.query_options import read_words
 from scoup.field import NO_THING, ThingTable
 from scoup.field.thing_table import TENSORS
-from scoup.models import everyday_vocabulary
+from scoup.io.word_list import read_words
+from scoup.models import TextEncoder
 from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
@@ -211,7 +211,7 @@ def test_the_vocabulary_is_the_table_or_a_list(viewed: ViewedField, tmp_path: Pa
     with pytest.raises(UnknownNameError):
         viewed_field(words=["nothing"]).vocabulary()
     model: Any = SimpleNamespace(names=None)
-    assert "kettle" in everyday_vocabulary(model)
+    assert "kettle" in TextEncoder.vocabulary(model)
     listed = tmp_path / "list.txt"
     listed.write_text(" a  b\n\nc\na b\n")
     assert read_words(listed) == ("a b", "c")

@@ -19,7 +19,7 @@ from starlette.testclient import TestClient
 from view_samples import PAGE, WORDS, camera_record, field_with_things, table, unpacked, viewed_field
 
 from messages import check_message
-from scoup.io import read_ply_table
+from scoup.io import PlyTable
 from scoup.view.guard import MOST_BYTES, Guard, is_loopback
 from scoup.view.server import application
 from scoup.view.viewed_field import ViewedField
@@ -162,7 +162,7 @@ def test_names_in_any_script_are_saved_with_their_things(tmp_path: Path) -> None
     names = {1: "tasse à café", 3: "杯子"}
     things = [{"number": number, "name": name} for number, name in names.items()]
     path.write_bytes(client.post("/api/select", json={"things": things}).content)
-    assert read_ply_table(path).comments[-2:] == tuple(f"thing {n}: {name}" for n, name in names.items())
+    assert PlyTable.read(path).comments[-2:] == tuple(f"thing {n}: {name}" for n, name in names.items())
 
 
 CAMERA = {

@@ -11,7 +11,7 @@ import pytest
 from browser_support import A_THING, PATIENCE, THINGS, saved_field
 
 from cli_support import run_json
-from scoup.io import read_ply_table
+from scoup.io import PlyTable
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
@@ -65,6 +65,6 @@ def test_a_selection_is_live_and_labels_do_not_matter(page: Page, tmp_path: Path
     with page.expect_download() as download:
         page.evaluate(EXPORT)
     download.value.save_as(tmp_path / "out.ply")
-    left, table = read_ply_table(tmp_path / "out.ply"), read_ply_table(tmp_path / "live.ply")
+    left, table = PlyTable.read(tmp_path / "out.ply"), PlyTable.read(tmp_path / "live.ply")
     wanted = table.rows[table.rows["state"] == 0][list(left.names)]
     assert sorted(left.rows.tolist()) == sorted(wanted.tolist())  # SuperSplat has an order of its own

@@ -42,7 +42,6 @@ from scoup.archive.search import (
     words_digest,
 )
 from scoup.base import (
-    WAIT,
     FileFormatError,
     InputError,
     MissingFileError,
@@ -216,7 +215,7 @@ class Archive:
         vectors = vector_bytes(table.embeddings)
         if not self._about():
             with suppress(OutputExistsError):  # another process has added its first scan
-                write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=WAIT)
+                write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=True)
             self._check_model(field)
         with self._kept.writing() as scans:
             if (old := scans.get(name)) is not None:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from scoup.archive.scan_files import ENDING, Scan, read_scans
-from scoup.base import WAIT, FileFormatError, WriteError, locked, refuse_pointer
+from scoup.base import FileFormatError, WriteError, locked, refuse_pointer
 from scoup.query import ThingIndex
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class KeptScans:
     @contextmanager
     def writing(self) -> Iterator[dict[str, Scan]]:
         """Keep others from writing until the block ends, and yield the scans, without damaged ones."""
-        with locked(self._folder / MATRIX, WAIT):
+        with locked(self._folder / MATRIX, wait=True):
             stamps, scans = self._listed(), None
             while scans is None:
                 try:

@@ -10,13 +10,14 @@ from urllib.parse import quote
 import torch
 
 from scoup.archive.archive import FoundThing
-from scoup.base import ScoupError, ScoupWarning, data_address, html
+from scoup.base import ScoupError, ScoupWarning, html
 from scoup.field import relative_place
+from scoup.pictures import Picture
 from scoup.query import draw_things, things_of_table
 
 _FOUND = """{% extends "page" %}{% block body %}<ul>
 {% for thing, picture, link in found %}
-<li>{% if picture %}<img alt="" src="{{ picture }}">{% endif %}<b>{{ thing.text }}</b> <small>
+<li>{% if picture is not none %}<img alt="" src="{{ picture }}">{% endif %}<b>{{ thing.text }}</b> <small>
 {{- "" if thing.score is none else "%.2f" % thing.score }}<br>
 {%- if link %}<a href="{{ link }}">{% endif %}{{ thing.describe() }}{% if link %}</a>{% endif %}
 {%- for name, value in thing.columns.items() %}<br>{{ name }} = {{ value }}{% endfor %}</small></li>
@@ -42,8 +43,8 @@ def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
     return html(_FOUND, title=title, found=things)
 
 
-def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
-    """Yield number and picture, as an address, of things of one scan."""
+def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:
+    """Yield number and picture of things of one scan."""
     try:
         field = results[0].field()
         count = 0 if field.thing_table is None else len(field.thing_table)
@@ -56,7 +57,7 @@ def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
         if len(things) < len(results):
             warnings.warn(f"{field.path}: has changed; add it again", ScoupWarning, stacklevel=3)
         for thing, picture in draw_things(field, things, list(field.cameras or ())):
-            yield thing.number or 0, data_address(picture)
+            yield thing.number or 0, picture
     except ScoupError as error:
         warnings.warn(f"no pictures of the scan {results[0].scan}: {error}", ScoupWarning, stacklevel=3)
 

@@ -21,7 +21,6 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from scoup.base import (
-    WAIT,
     FileFormatError,
     InputError,
     MissingFileError,
@@ -241,7 +240,7 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
     )
     given_values = {**values, **{f"own_{name}": value for name, value in scan.columns.items()}}
     metadata = _quoted(json.dumps(_header(scan)))
-    with atomic_path(scan.file, overwrite=True, wait=WAIT) as temporary:
+    with atomic_path(scan.file, overwrite=True, wait=True) as temporary:
         connection = connect()
         connection.execute(f"CREATE TABLE things AS SELECT {columns}{extra}", given_values)
         connection.execute(

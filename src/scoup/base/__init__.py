@@ -17,36 +17,29 @@ from scoup.base.errors import (
     WriteError,
     check_format_version,
     looked_up,
-    quoted,
     refused_read,
-    remedy_of,
 )
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
-from scoup.base.native import native_core, refusals, release_memory, require_core
+from scoup.base.native import native_core, release_memory, required_core
 from scoup.base.outputs import (
-    WAIT,
     atomic_file,
     atomic_path,
     check_output,
-    check_outputs,
     flush_to_disk,
     locked,
-    remove,
     reserved_output,
-    reserved_part,
     staged,
     write_text,
 )
-from scoup.base.pages import PREVIEW, card, data_address, html
+from scoup.base.pages import PREVIEW, card, html
 from scoup.base.registry import Entry, Registry
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array, temporary_folder
 from scoup.base.texts import (
     brief,
     counted,
     listed,
-    none_of,
     printable,
     rounded_vector,
     share_of,
@@ -62,7 +55,6 @@ __all__ = [
     "MOST_ROWS_IN_MEMORY",
     "PREVIEW",
     "VERSION",
-    "WAIT",
     "Entry",
     "FileFormatError",
     "InputError",
@@ -84,9 +76,7 @@ __all__ = [
     "check_arguments",
     "check_format_version",
     "check_output",
-    "check_outputs",
     "counted",
-    "data_address",
     "existing_file",
     "file_sha256",
     "flush_to_disk",
@@ -100,19 +90,13 @@ __all__ = [
     "looked_up",
     "native_core",
     "no_progress",
-    "none_of",
     "printable",
-    "quoted",
-    "refusals",
     "refuse_pointer",
     "refused_read",
     "release_memory",
-    "remedy_of",
-    "remove",
     "reported",
-    "require_core",
+    "required_core",
     "reserved_output",
-    "reserved_part",
     "rounded_vector",
     "safetensors_damage_named",
     "scratch_array",

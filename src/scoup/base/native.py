@@ -51,19 +51,14 @@ def release_memory() -> None:
         core.release_memory()
 
 
-def require_core() -> ModuleType:
-    """Return the module ``scoup._native``."""
+@contextmanager
+def required_core() -> Iterator[ModuleType]:
+    """Yield the module ``scoup._native``. Its errors become InputError: what it refuses is the caller's mistake."""
     core, reason, _ = load_core()
     if core is None:
         raise InputError(f"the compiled core cannot be used: {reason}")
-    return core
-
-
-@contextmanager
-def refusals() -> Iterator[None]:
-    """Turn errors of the core into InputError: what it refuses is the caller's mistake."""
     try:
-        yield
+        yield core
     except (ValueError, IndexError) as error:
         raise InputError(str(error)) from None
 

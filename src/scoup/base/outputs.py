@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -19,17 +19,20 @@ from scoup.base.errors import (
     WriteError,
 )
 from scoup.base.texts import hidden_name, slug
-from scoup.base.work import Part
 
-WAIT = 60.0
-"""Seconds to wait for another process that writes the same file of a shared folder."""
+_WAIT = 60.0
+"""Seconds to wait, if at all, for another process that writes the same file of a shared folder."""
 held: set[Path] = set()
 """Lock files of this process: of outputs that are being written."""
 
 
-def check_output(path: str | Path, overwrite: bool = False) -> Path:
-    """Check that ``path`` may be written, before long work starts, and return it. Creates nothing."""
-    path = Path(path)
+def check_output(*paths: str | Path, overwrite: bool = False) -> None:
+    """Check that these files may be written, before long work starts. Creates nothing."""
+    for path in paths:
+        _check_output(Path(path), overwrite)
+
+
+def _check_output(path: Path, overwrite: bool) -> None:
     if os.path.isdir(path):
         what = f"is a link to the folder {os.path.realpath(path)}" if os.path.islink(path) else "is a folder"
         raise InputError(f"{path}: {what}; use the name of a file to write")
@@ -47,7 +50,6 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
                     f"{path}: cannot be written, {parent} is read-only for you; choose another folder"
                 )
             break
-    return path
 
 
 def make_folder(folder: Path, output: Path) -> None:
@@ -62,7 +64,7 @@ def make_folder(folder: Path, output: Path) -> None:
 
 
 @contextmanager
-def atomic_path(path: str | Path, overwrite: bool = False, wait: float = 0.0) -> Iterator[Path]:
+def atomic_path(path: str | Path, overwrite: bool = False, wait: bool = False) -> Iterator[Path]:
     """Yield a path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     For libraries that write a file by its name. On any error, interruption included, the hidden folder is removed with
@@ -72,14 +74,15 @@ def atomic_path(path: str | Path, overwrite: bool = False, wait: float = 0.0) ->
     Args:
         path: the output; its folder is made if it is missing.
         overwrite: replace an existing file.
-        wait: seconds to wait for another process that writes it.
+        wait: for another process that writes it, for a minute at most.
 
     Raises:
         OutputExistsError: ``path`` exists, and ``overwrite`` is false.
         OutputInUseError: another process writes it.
         WriteError: the system refuses.
     """
-    path = check_output(path, overwrite)
+    path = Path(path)
+    check_output(path, overwrite=overwrite)
     with (
         temporary_output(path, overwrite, wait) as hidden,
         refusals_named(path, hidden),
@@ -92,12 +95,13 @@ def atomic_path(path: str | Path, overwrite: bool = False, wait: float = 0.0) ->
 
 @contextmanager
 def atomic_file(
-    path: str | Path, overwrite: bool = False, flush: bool = True, wait: float = 0.0
+    path: str | Path, overwrite: bool = False, flush: bool = True, wait: bool = False
 ) -> Iterator[BinaryIO]:
     """Yield a binary file, without a ``fileno``, that becomes ``path`` when the block ends without an error; see
     ``atomic_path``. Without ``flush`` it is not written to the disk before the rename: whoever writes many files calls
     ``flush_to_disk``."""
-    path = check_output(path, overwrite)
+    path = Path(path)
+    check_output(path, overwrite=overwrite)
     with temporary_output(path, overwrite, wait) as temporary, refusals_named(path, temporary):
         with _Output(temporary) as stream:
             yield cast(BinaryIO, stream)
@@ -111,7 +115,8 @@ def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[Path]
     Yields the path of a hidden folder beside the output for files of the work, which is removed before and after the
     block. Arguments and errors are those of ``atomic_path``.
     """
-    path = check_output(path, overwrite)
+    path = Path(path)
+    check_output(path, overwrite=overwrite)
     with temporary_output(path, overwrite, kind="work", lock="work.lock") as work:
         try:
             yield work
@@ -122,19 +127,8 @@ def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[Path]
 
 
 @contextmanager
-def reserved_part(folder: Path, part: Part) -> Iterator[None]:
-    """Keep other processes from making the same part of a folder; the folder is made if it is missing."""
-    if folder.is_file():
-        raise InputError(f"{folder}: is a file, not a folder; choose another output")
-    check_output(folder / f"part-{part}", overwrite=True)
-    make_folder(folder, folder)
-    with locked(folder / f"part-{part}"):
-        yield
-
-
-@contextmanager
 def temporary_output(
-    path: Path, overwrite: bool = False, wait: float = 0.0, kind: str = "partial", lock: str = "lock"
+    path: Path, overwrite: bool = False, wait: bool = False, kind: str = "partial", lock: str = "lock"
 ) -> Iterator[Path]:
     """Keep other processes from writing an output, and yield the path of a temporary file or folder beside it.
 
@@ -143,7 +137,7 @@ def temporary_output(
     temporary = path.with_name(hidden_name(path.name, kind))
     make_folder(path.parent, path)
     with locked(path, wait, lock):
-        check_output(path, overwrite)  # another process may have written it meanwhile
+        check_output(path, overwrite=overwrite)  # another process may have written it meanwhile
         remove(temporary)
         try:
             yield temporary
@@ -153,7 +147,7 @@ def temporary_output(
 
 def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:
     """Rename a complete file to its output."""
-    check_output(path, overwrite)  # a program that knows no locks may have written it meanwhile
+    check_output(path, overwrite=overwrite)  # a program that knows no locks may have written it meanwhile
     if flush:
         _flush_content(temporary)
     os.replace(temporary, path)
@@ -199,7 +193,7 @@ def remove(path: Path) -> None:
             path.unlink()
 
 
-def write_text(path: str | Path, text: str, overwrite: bool = False, wait: float = 0.0) -> None:
+def write_text(path: str | Path, text: str, overwrite: bool = False, wait: bool = False) -> None:
     """Write UTF-8 text; arguments and errors as of ``atomic_file``."""
     with atomic_file(path, overwrite, wait=wait) as stream:
         stream.write(text.encode("utf-8"))
@@ -286,14 +280,14 @@ def _final(path: Any, output: Path, temporary: Path) -> Path | None:
 
 
 @contextmanager
-def locked(output: Path, wait: float = 0.0, kind: str = "lock") -> Iterator[None]:
+def locked(output: Path, wait: bool = False, kind: str = "lock") -> Iterator[None]:
     """Keep other processes from writing an output until the block ends. The folder of the output must exist.
 
     The lock file ``.NAME.KIND`` is removed at the end. That of a killed process locks nothing: the system releases it.
 
     Args:
         output: the file or folder.
-        wait: seconds to wait for another process.
+        wait: for another process, for a minute at most.
         kind: of the lock; locks of different kinds exclude nobody.
 
     Raises:
@@ -305,10 +299,10 @@ def locked(output: Path, wait: float = 0.0, kind: str = "lock") -> Iterator[None
     path = output.with_name(hidden_name(output.name, kind))
     lock = FileLock(path)
     try:
-        lock.acquire(timeout=wait, poll_interval=0.01)
+        lock.acquire(timeout=_WAIT if wait else 0, poll_interval=0.01)
         while not path.exists():  # its holder removed it between the opening and the locking
             lock.release(force=True)
-            lock.acquire(timeout=wait, poll_interval=0.01)
+            lock.acquire(timeout=_WAIT if wait else 0, poll_interval=0.01)
     except Timeout:
         raise OutputInUseError(output) from None
     except OSError as error:
@@ -324,7 +318,9 @@ def locked(output: Path, wait: float = 0.0, kind: str = "lock") -> Iterator[None
 
 
 @contextmanager
-def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> Iterator[Path]:
+def staged(
+    folder: Path, files: Sequence[str] = (), overwrite: bool = False, stale: Iterable[Path] = ()
+) -> Iterator[Path]:
     """Yield a hidden folder to write into; at the end everything in it moves into ``folder``.
 
     On any error in the block, interruption included, the hidden folder is removed and ``folder`` is unchanged. Only an
@@ -335,11 +331,12 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         files: paths within the folder that are checked before the block, and moved first, in this order. Two processes
             write into one folder at the same time if their first files differ.
         overwrite: replace existing files.
+        stale: files of an earlier output that are removed at the end.
 
     Raises:
         OutputExistsError, OutputInUseError, WriteError: as ``atomic_path``.
     """
-    check_outputs(folder, files, overwrite)
+    check_output(*(folder / file for file in files), overwrite=overwrite)
     # In the nearest existing folder: on the same file system, moving is only renaming.
     home = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.is_dir())
     work = home / slug(" ".join([folder.name, *files[:1]]))
@@ -349,16 +346,13 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
         written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in written]
         _move(hidden, folder, [*first, *(file for file in written if file not in files)], overwrite)
-
-
-def check_outputs(folder: Path, files: Sequence[str], overwrite: bool) -> None:
-    """Check that all files may be written into a folder; see ``check_output``."""
-    for file in files:
-        check_output(folder / file, overwrite)
+        for path in stale:
+            remove(path)
 
 
 def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
-    check_outputs(folder, files, overwrite)  # another program may have written meanwhile
+    # Another program may have written meanwhile.
+    check_output(*(folder / file for file in files), overwrite=overwrite)
     for file in files:
         _flush_content(hidden / file)
     for file in files:

@@ -28,14 +28,15 @@ figure{margin:0;text-align:center}</style>
 {% block body %}{% endblock %}
 """
 _CARD = """<div><b>{{ title }}</b><div style="display:flex;gap:1em;align-items:flex-start">
-{%- if picture %}<img alt="{{ title }}" src="{{ picture }}"/>{% endif %}<table>
+{%- if picture is not none %}<img alt="{{ title }}" src="{{ picture }}"/>{% endif %}<table>
 {%- for name, value in facts.items() -%}
 <tr><td style="text-align:left;opacity:.7">{{ name }}</td><td style="text-align:left">{{ value }}</td></tr>
 {%- endfor %}</table></div></div>"""
 
 
 def html(template: str, **values: Any) -> str:
-    """Return the HTML of a template, in which values are text: markup and control characters are escaped.
+    """Return the HTML of a template, in which values are text: markup and control characters are escaped. A picture
+    [H, W, 3] uint8 is its address.
 
     A template that begins with `{% extends "page" %}` fills the block `body` below a `title`; each `li` of an `ul` is a
     card.
@@ -47,17 +48,24 @@ def html(template: str, **values: Any) -> str:
         trim_blocks=True,
         undefined=StrictUndefined,
         loader=DictLoader({"page": _PAGE}),
-        finalize=lambda value: printable(value) if isinstance(value, str) else value,
+        finalize=_shown,
     )
     return environment.from_string(template).render(values)
 
 
+def _shown(value: Any) -> Any:
+    """Return what a page contains for a value of a template."""
+    if getattr(value, "ndim", 0) == 3:
+        return _address(value)
+    return printable(value) if isinstance(value, str) else value
+
+
 def card(title: str, facts: Mapping[str, Any], picture: NDArray[np.uint8] | None = None) -> str:
     """Return the HTML of a card: the title above, facts by name, and beside them a picture [H, W, 3]."""
-    return html(_CARD, title=title, facts=facts, picture=None if picture is None else data_address(picture))
+    return html(_CARD, title=title, facts=facts, picture=picture)
 
 
-def data_address(picture: NDArray[np.uint8]) -> str:
+def _address(picture: NDArray[np.uint8]) -> str:
     """Return a picture [H, W, 3] uint8 as the address of an image in a page, PNG inside."""
     from PIL import Image
 

@@ -29,16 +29,11 @@ def counted(count: int, thing: str, things: str = "") -> str:
     return f"{count:,} {thing if count == 1 else things or thing + 's'}"
 
 
-def none_of(count: int, thing: str) -> str:
-    """Return the subject of a sentence that denies something of all: "none of the 4 views", "no view" where there is
-    one.
-    """
-    return f"no {thing}" if count == 1 else f"none of the {count:,} {thing}s"
-
-
 def share_of(count: int, total: int, thing: str, things: str = "") -> str:
-    """Return some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; its verb is that of
-    count."""
+    """Return some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; of 0 "none of the 8
+    views" and "no view". Its verb is that of count."""
+    if not count:
+        return f"no {thing}" if total == 1 else f"none of the {counted(total, thing, things)}"
     return f"the only {thing}" if total == 1 else f"{count:,} of {counted(total, thing, things)}"
 
 

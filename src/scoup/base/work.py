@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 from scoup.base.errors import InputError
+from scoup.base.outputs import check_output, locked, make_folder
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -77,3 +80,13 @@ class Part:
     def of(self, items: Sequence[Item]) -> list[Item]:
         """Return every ``count``-th item, from the ``number``-th on."""
         return list(items[self.number - 1 :: self.count])
+
+    @contextmanager
+    def reserved(self, folder: Path) -> Iterator[None]:
+        """Keep other processes from making the same part of a folder; the folder is made if it is missing."""
+        if folder.is_file():
+            raise InputError(f"{folder}: is a file, not a folder; choose another output")
+        check_output(folder / f"part-{self}", overwrite=True)
+        make_folder(folder, folder)
+        with locked(folder / f"part-{self}"):
+            yield

@@ -105,7 +105,7 @@ class SearchArchive:
     def _search(self, archive: Archive, console: Console) -> None:
         page, overwrite = self.search.page, self.common.overwrite
         if page is not None:
-            check_output(page, overwrite)
+            check_output(page, overwrite=overwrite)
         question = str(self.search.image or self.question)
         things = self._found(archive)
         counts = Counter(thing.scan for thing in things)

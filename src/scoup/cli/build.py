@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output, reserved_part
+from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output
 from scoup.cli.build_options import (
     BuildOptions,
     CodingOptions,
@@ -101,7 +101,7 @@ class Build:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
         from scoup.cli.extract import Extract, ModelOptions, PhotographOptions
         from scoup.extract import lacks_views
-        from scoup.io import find_splat, usual_features
+        from scoup.io import find_features, find_splat
 
         named = self.method.segmenter is not None or self.method.embedder is not None
         if self.parts.features is not None:
@@ -110,7 +110,7 @@ class Build:
                     "--segmenter and --embedder make regions, --features names some; pass either"
                 )
             return {}
-        made, embedder = usual_features(self.scene), self.method.embedder or CLIP_MODEL
+        made, embedder = find_features(self.scene, to_make=True), self.method.embedder or CLIP_MODEL
         if self.region_sums.sums is not None:
             return {}
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
@@ -177,7 +177,7 @@ class Build:
         started = time.perf_counter()
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen, settings = Cameras(part.of(views)), self._settings(loaded)
-        with reserved_part(folder, part):
+        with part.reserved(folder):
             sums = self._open_sums(loaded, folder)
             check_fit = bool(len(chosen)) and not len(sums)
             check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)
@@ -202,7 +202,7 @@ class Build:
         return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
 
     def _load(self, console: Console) -> _Loaded:
-        from scoup.io import detections_of, find_detections, find_splat, load_gaussians
+        from scoup.io import DetectionStore, find_splat, load_gaussians
         from scoup.uplift import embedding_source
 
         splat = find_splat(self.scene, self.parts.gaussians)
@@ -218,8 +218,8 @@ class Build:
             f"{counted(len(gaussians), 'Gaussian')}, {counted(len(regions), 'view')} with regions of "
             f"{counted(len(cameras), 'camera')}"
         )
-        store = find_detections(features)
-        concepts = None if store is None else (store.texts, detections_of(store, regions.view_names))
+        store = DetectionStore.beside(features)
+        concepts = None if store is None else (store.texts, store.of(regions.view_names))
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
 
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:

@@ -113,7 +113,7 @@ def check_field_output(out: Path, overwrite: bool) -> None:
     """Refuse a name that no field may have, and one that is taken."""
     if out.suffix.lower() != ".scoup":
         raise InputError(f"{out}: expected a name that ends in .scoup, for it is a field; choose another")
-    check_output(out, overwrite)
+    check_output(out, overwrite=overwrite)
 
 
 def report_field(

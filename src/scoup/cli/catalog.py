@@ -14,7 +14,6 @@ from scoup.cli.query_options import (
     WordOptions,
     check_metres,
     output_folder,
-    read_words,
 )
 
 SHOWN = 12  # things printed; the files contain all
@@ -38,6 +37,7 @@ class MakeCatalog:
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
+        from scoup.io import read_words
         from scoup.query import save_catalog
 
         check_metres(self.metres_per_unit)

@@ -17,7 +17,6 @@ from scoup.cli.query_options import (
     WordOptions,
     check_metres,
     output_folder,
-    read_words,
 )
 
 
@@ -51,7 +50,7 @@ class CompareCaptures:
 
     def run(self, console: Console) -> None:
         """Compare and write."""
-        from scoup.io import read_similarity
+        from scoup.io import read_similarity, read_words
         from scoup.query import compare, save_comparison
 
         opening, device = self.opening, self.common.device

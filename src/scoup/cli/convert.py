@@ -89,16 +89,15 @@ class Convert:
             )
 
     def _is_to_splat(self) -> bool:
-        from scoup.io import format_of
+        from scoup.io import is_splat_name
 
-        kind = format_of(self.target)
-        return kind is not None and kind.write is not None
+        return is_splat_name(self.target, written=True)
 
     def _convert_splat(self, console: Console) -> None:
         from scoup.base import check_output
         from scoup.io import load_gaussians, save_gaussians
 
-        check_output(self.target, self.common.overwrite)
+        check_output(self.target, overwrite=self.common.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
             raise InputError(f"{self.target}: is the source; use another name")
         gaussians = load_gaussians(self.source, self.keep_axes)
@@ -138,8 +137,8 @@ class Convert:
         )
 
     def _convert_features(self, console: Console) -> None:
-        from scoup.io import load_gaussians, splat_source
-        from scoup.uplift import field_from_features, read_features
+        from scoup.io import load_gaussians, read_features, splat_source
+        from scoup.uplift import field_from_features
 
         check_field_output(self.target, self.common.overwrite)
         if self.features.gaussians is None:
@@ -184,11 +183,11 @@ class Convert:
 
     def _encoder(self) -> dict[str, Any]:
         """Return the model and the word table that the field will name."""
-        from scoup.models import check_model, is_table
+        from scoup.models import WordTable, check_model
 
         if self.model is None:
             return {}
-        if not is_table(self.model):
+        if not WordTable.is_meant(self.model):
             check_model(self.model)
             return {"embedding_model": self.model}
         return {"words": self.model}

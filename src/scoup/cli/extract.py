@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base import InputError, Part, counted, reserved_part
+from scoup.base import InputError, Part, counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
@@ -22,7 +22,6 @@ from scoup.cli.options import (
     arg,
     titled,
 )
-from scoup.cli.query_options import read_words
 
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
@@ -118,7 +117,7 @@ class Extract:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs, open_pair, total_wanted
-        from scoup.io import usual_features
+        from scoup.io import find_features
 
         scene = self._scene()
         if is_splat(scene):
@@ -130,7 +129,7 @@ class Extract:
         segmenter_name, settings = self._masks(console, self.common.device)
         photographs = find_photographs(scene, self.photographs.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = self.out or usual_features(scene)
+        out = find_features(scene, self.out, to_make=True)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
@@ -177,7 +176,7 @@ class Extract:
             view
         ]
         picture = Path(f"{camera.stem}_regions.png")
-        check_output(picture, self.common.overwrite)
+        check_output(picture, overwrite=self.common.overwrite)
         folder = self.out or scene_folder(scene)
         regions = load_regions(folder, [camera])
         manifest = RegionStore.open(folder).manifest
@@ -201,12 +200,12 @@ class Extract:
     ) -> list[Photograph] | None:
         """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
         from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
-        from scoup.io import RegionStore, find_splat, read_manifest
+        from scoup.io import RegionManifest, RegionStore, find_splat
 
         wanted, scene = self.photographs, self._scene()
         if wanted.gaussians is not None:
             find_splat(scene, wanted.gaussians)  # a mistake shows before the long work
-        before = None if self.common.overwrite else read_manifest(out)
+        before = None if self.common.overwrite else RegionManifest.read(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all
         few = len(photographs) <= FEW or (scene / SHEET).exists()  # the views of scoup views are few
@@ -235,6 +234,7 @@ class Extract:
         return chosen
 
     def _words(self) -> tuple[str, ...]:
+        from scoup.io import read_words
         from scoup.models import EVERYDAY_WORDS
 
         if self.words.concepts is None:
@@ -246,12 +246,12 @@ class Extract:
     ) -> dict[str, Any]:
         """Store detections of words in the photographs; return their entry in the result."""
         from scoup.extract import extract_concepts
-        from scoup.io import CONCEPTS_FOLDER
+        from scoup.io import DetectionStore
         from scoup.models import open_concepts
 
         model, folder = (
             open_concepts(self.words.concept_model, device=self.common.device),
-            out / CONCEPTS_FOLDER,
+            out / DetectionStore.FOLDER,
         )
         with console.progress() as progress:
             report = extract_concepts(
@@ -310,7 +310,7 @@ def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
         console.kept = lambda: kept(f"{done} of {total} views") if done else before
         progress(stage, done, total)
 
-    with reserved_part(out, part), console.progress() as progress:
+    with part.reserved(out), console.progress() as progress:
         yield report
 
 

@@ -29,7 +29,7 @@ class Info:
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
-        record = (_folder if self.path.is_dir() else _KINDS.get(suffix, _other))(self.path)
+        record = (_other if self.path.is_dir() else _KINDS.get(suffix, _other))(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
@@ -37,13 +37,15 @@ class Info:
         console.result(record)
 
 
-def _folder(path: Path) -> dict[str, Any]:
-    from scoup.io import describe_folder
+def _other(path: Path) -> dict[str, Any]:
+    from scoup.io import describe
     from scoup.uplift import fit_problem, has_region_sums, measure_fit
 
-    if has_region_sums(path):
+    if path.is_dir() and has_region_sums(path):
         return _region_sums(path)
-    folder = describe_folder(path)
+    folder = describe(path)
+    if folder is None:
+        return _word_table(path)
     if not (folder.splat and folder.gaussians and folder.cameras):
         return folder.record
     # As a build would find them.
@@ -55,17 +57,11 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def _word_table(path: Path) -> dict[str, Any]:
-    from scoup.models import load_table
+    from scoup.models import WordTable
 
-    table = load_table(path)
+    table = WordTable.load(path)
     record = {"kind": "word table", "names": list(table.names), "dim": table.vectors.shape[1]}
     return record | ({"embedding_model": table.model} if table.model else {})
-
-
-def _other(path: Path) -> dict[str, Any]:
-    from scoup.io import describe_file
-
-    return describe_file(path) or _word_table(path)
 
 
 def _region_sums(path: Path) -> dict[str, Any]:
@@ -96,7 +92,7 @@ _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
 }
-"""Extension -> description of such a file; others are splats, cameras or word tables in JSON."""
+"""Extension -> description of such a file; others are folders, splats, cameras or word tables in JSON."""
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -19,7 +19,6 @@ from scoup.cli.query_options import (
     TextOptions,
     check_texts,
     output_folder,
-    read_words,
 )
 
 if TYPE_CHECKING:
@@ -90,6 +89,8 @@ class Label:
 
     def _words(self) -> tuple[str, ...]:
         """Return the words of the command line and of the list, each once."""
+        from scoup.io import read_words
+
         words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)
         return words

@@ -21,7 +21,7 @@ from scoup.cli.options import (
     arg,
     check_number,
 )
-from scoup.cli.query_options import check_metres, read_words
+from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ class ServeAgents:
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
+        from scoup.io import read_words
         from scoup.view import SceneTools, make_server, serve
 
         self._check_options()

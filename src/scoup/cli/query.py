@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base import InputError, Progress, check_outputs, counted, reported, staged, unique_slugs
+from scoup.base import InputError, Progress, check_output, counted, reported, staged, unique_slugs
 from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,
@@ -100,7 +100,7 @@ class Query:
         check_texts(self.texts)
         self._check_options()
         out = self._out()
-        check_outputs(out, [RECORD], self.common.overwrite)
+        check_output(out / RECORD, overwrite=self.common.overwrite)
         field = self.opening.open(self.field, self.common.device)
         cameras = self.view.open_cameras(field, self.field)
         field, refined = self._refine(console, field)

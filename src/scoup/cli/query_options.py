@@ -13,7 +13,6 @@ from scoup.base import (
     MissingFileError,
     ScoupWarning,
     UnknownNameError,
-    existing_file,
     listed,
     share_of,
     verb,
@@ -226,19 +225,6 @@ def check_texts(texts: tuple[str, ...]) -> None:
             raise InputError(f"{text}: is a field, expected a text; ask one field at a time")
         if Path(text).suffix and Path(text).is_file():
             raise InputError(f"{text}: is a file, expected a text; type its words")
-
-
-def read_words(path: Path | None) -> tuple[str, ...]:
-    """Read a list of words, one per line, without empty lines and repetitions; None contains no words."""
-    from scoup.io import read_text
-
-    if path is None:
-        return ()
-    text = read_text(existing_file(path, "a list of words"))
-    words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
-    if not words:
-        raise InputError(f"{path}: contains no word; write one per line")
-    return words
 
 
 def check_metres(length: float | None, option: str = "--metres-per-unit") -> None:

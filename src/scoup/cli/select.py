@@ -127,7 +127,7 @@ class Select:
             raise InputError(f"{self.picture}: the picture is a PNG; use a name that ends in .png")
         for path in (self.out, self.picture):
             if path is not None:
-                check_output(path, self.common.overwrite)
+                check_output(path, overwrite=self.common.overwrite)
 
     def _is_plain_ply(self) -> bool:
         return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
@@ -171,7 +171,7 @@ class Select:
 
     def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
-        from scoup.io import save_gaussians, write_ply_table
+        from scoup.io import save_gaussians
         from scoup.query import SplatTable, edited
 
         left = field.gaussians
@@ -188,7 +188,7 @@ class Select:
                 table = rows.with_state(whole.mask)
             else:
                 table = rows.edited(whole.mask, left) if mask is None else rows.select(mask)
-            write_ply_table(table, self.out, self.common.overwrite)
+            table.write(self.out, self.common.overwrite)
             return len(table)
         else:
             save_gaussians(left.to("cpu"), self.out, self.common.overwrite)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from scoup.base import InputError, counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalInteger, OptionalPath, check_number, titled
-from scoup.cli.query_options import TextOptions, read_words
+from scoup.cli.query_options import TextOptions
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class View:
 
     def _viewed(self, console: Console) -> ViewedField:
         """Return the field with its encoder; say why, if no text can be asked."""
+        from scoup.io import read_words
         from scoup.view import ViewedField
 
         field, page = self.opening.open(self.field, self.common.device), self.page

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, check_outputs, counted
+from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, WritesCommon, arg
 
@@ -60,18 +60,18 @@ class MakeViews:
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source, turned, turned_direction
+        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source
 
         splat = splat_source(self.splat)
         source = splat.path
         out = self.out or Path(f"{source.stem}_views")
-        check_outputs(out, (TRANSFORMS, SHEET), self.common.overwrite)
+        check_output(out / TRANSFORMS, out / SHEET, overwrite=self.common.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up
-        if view.keep_axes and (axis := splat.kind.axis) is not None:
-            up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
+        if view.keep_axes and splat.kind.axis is not None:
+            up = splat.kind.turned_direction(up or estimated_up(splat.kind.turned(gaussians)))
         how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
         with console.progress() as progress:
             cameras = choose_cameras(gaussians, progress=progress, **how)

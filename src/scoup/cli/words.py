@@ -8,7 +8,6 @@ from pathlib import Path
 from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command
 from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath
-from scoup.cli.query_options import read_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,22 +29,16 @@ class MakeWords:
 
     def run(self, console: Console) -> None:
         """Encode and write."""
-        from scoup.models import (
-            CANONICAL_PHRASES,
-            EVERYDAY_WORDS,
-            TextEncoder,
-            check_table_name,
-            is_table,
-            save_table,
-        )
+        from scoup.io import read_words
+        from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, WordTable
 
-        check_table_name(self.out)
-        check_output(self.out, self.common.overwrite)
-        if is_table(self.model):
+        WordTable.check_name(self.out)
+        check_output(self.out, overwrite=self.common.overwrite)
+        if WordTable.is_meant(self.model):
             raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
         words = list(dict.fromkeys((*CANONICAL_PHRASES, *read_words(self.words), *EVERYDAY_WORDS)))
         with TextEncoder.open(self.model, device=self.common.device) as encoder:
-            save_table(self.out, words, encoder.encode(words), self.common.overwrite, encoder.name)
+            WordTable.save(self.out, words, encoder.encode(words), self.common.overwrite, encoder.name)
         console.say(
             f"{self.out}: {counted(len(words), 'word')} of {encoder.dim} dimensions; with it: "
             f"{command('build', 'SCENE', '--model', self.out)}, or "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.base import require_core
+from scoup.base import required_core
 from scoup.coding.backends import RowCodes
 
 
@@ -15,25 +15,27 @@ def code_rows(
     """See ``CodingBackend.code_rows``."""
     start = None if warm is None else warm.numpy()
     arrays = rows.numpy(), atoms.numpy()
-    coded = require_core().code_rows(*arrays, k, swap_passes, start, torch.get_num_threads())
+    with required_core() as core:
+        coded = core.code_rows(*arrays, k, swap_passes, start, torch.get_num_threads())
     return RowCodes(*map(torch.from_numpy, coded))
 
 
 def row_products(rows: Tensor, others: Tensor) -> Tensor:
     """See ``CodingBackend.row_products``."""
-    return torch.from_numpy(
-        require_core().row_products(rows.numpy(), others.numpy(), torch.get_num_threads())
-    )
+    with required_core() as core:
+        return torch.from_numpy(core.row_products(rows.numpy(), others.numpy(), torch.get_num_threads()))
 
 
 def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> tuple[Tensor, Tensor]:
     """See ``CodingBackend.code_moments``."""
     arrays = (tensor.numpy() for tensor in (rows, codes.support, codes.weights, scale))
-    within, toward = require_core().code_moments(*arrays, n_atoms, torch.get_num_threads())
+    with required_core() as core:
+        within, toward = core.code_moments(*arrays, n_atoms, torch.get_num_threads())
     return torch.from_numpy(within), torch.from_numpy(toward)
 
 
 def solve(matrix: Tensor, right: Tensor) -> Tensor:
     """See ``CodingBackend.solve``."""
-    solved = require_core().solve_positive_definite(matrix.numpy(), right.numpy(), torch.get_num_threads())
+    with required_core() as core:
+        solved = core.solve_positive_definite(matrix.numpy(), right.numpy(), torch.get_num_threads())
     return torch.from_numpy(solved)

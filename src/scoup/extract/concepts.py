@@ -13,7 +13,7 @@ from torch import Tensor
 from scoup.base import Part, Progress, ScoupError, no_progress
 from scoup.extract.photographs import Photograph, Pixels, read_ahead
 from scoup.extract.pipeline import MAX_HEIGHT, ExtractReport
-from scoup.io import new_store
+from scoup.io import DetectionStore
 from scoup.models import ConceptModel
 
 
@@ -34,7 +34,7 @@ def extract_concepts(
         InputError: the folder contains detections of other texts or of another model.
     """
     settings = {**model.to_dict(), "max_height": max_height}
-    store = new_store(Path(folder), texts, settings)
+    store = DetectionStore.new(Path(folder), texts, settings)
     store.begin(overwrite)
     report, assigned, moment = ExtractReport(), part.of(photographs), time.perf_counter()
     waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]

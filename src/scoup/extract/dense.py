@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.extract.masks import Masks
-from scoup.models import DenseModel
+from scoup.models import open_dense_model
 
 # Windows of the model's size along the shorter side of a photograph. More resolve smaller things; the work grows with
 # the square.
@@ -21,8 +21,8 @@ _MASKS_AT_ONCE = 64
 class DenseEmbedder:
     """A dense encoder as a ``RegionEmbedder``."""
 
-    def __init__(self, model: DenseModel) -> None:
-        self.model = model
+    def __init__(self, name: str, revision: str | None, device: torch.device | str) -> None:
+        model = self.model = open_dense_model(name, revision, device)
         self.name, self.dim, self.device = model.name, model.dim, model.device
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from scoup.base import InputError, Progress, no_progress, remove, reported, staged
+from scoup.base import InputError, Progress, no_progress, reported, staged
 from scoup.extract import constants
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
@@ -148,8 +148,9 @@ def save_views(
     seen = torch.zeros(len(gaussians), dtype=torch.int32)  # in how many views each Gaussian is
     tiles = []
     before = _images_of_views(folder) if overwrite else []
+    stale = [folder / name for name in set(before) - set(places.values())]
     # transforms.json comes last: where it is, the views are whole.
-    with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
+    with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite, stale) as hidden:
         for camera in reported(cameras, "views", len(cameras), progress):
             path = hidden / places[camera.name]
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,8 +162,6 @@ def save_views(
             tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(Cameras(replace(camera, image_path=None) for camera in cameras), hidden / TRANSFORMS)
-    for name in set(before) - set(places.values()):
-        remove(folder / name)
     opaque = gaussians.opacities >= constants.COVERING_OPACITY
     counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
     once, often = (float((counted >= least).double().mean()) for least in (1, 3))

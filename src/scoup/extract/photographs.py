@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Generator, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning, file_sha256, worked_ahead
-from scoup.io import DYNAMIC_MASK, EXTENSIONS, FACTORS, ImageFolder, camera_photographs, open_image, rgb_image
+from scoup.base import ScoupError, file_sha256, worked_ahead
+from scoup.io import DYNAMIC_MASK, open_image, rgb_image, scene_photographs
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
@@ -67,32 +66,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         MissingFileError: there is no scene, or no photograph.
         FileFormatError: a file of cameras is damaged, or photographs have another shape than their cameras.
     """
-    scene = Path(scene)
-    if not scene.exists():
-        raise MissingFileError(scene, "there is no such scene", "check the path")
-    with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        named, searched = camera_photographs(scene, images)
-        if named and searched:
-            message = f"{scene}: cameras without a photograph have no regions ({searched})"
-            warnings.warn(message, ScoupWarning, stacklevel=2)
-        if not named:
-            problem = f"has cameras, but none of their photographs was found ({searched})"
-            raise FileFormatError(
-                scene, problem, "pass the folder that their names are relative to as `images`"
-            )
-        return [Photograph(*item) for item in named]
-    folders = [Path(images)] if images is not None else _image_folders(scene)
-    for folder in folders:
-        photographs = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
-        if photographs:
-            return photographs
-    remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
-    raise MissingFileError(folders[0], "contains no photographs", remedy)
-
-
-def _image_folders(scene: Path) -> list[Path]:
-    names = ("images" if factor == 1 else f"images_{factor}" for factor in FACTORS)
-    return [scene / name for name in names if (scene / name).is_dir()] or [scene]
+    return [Photograph(*item) for item in scene_photographs(Path(scene), images)]
 
 
 def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:

@@ -13,12 +13,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, none_of
+from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, share_of
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, Pixels, find_photographs, read_ahead
-from scoup.io import RegionManifest, RegionStore, ViewRegions, read_manifest
+from scoup.io import RegionManifest, RegionStore, ViewRegions
 
 MAX_HEIGHT = 1080  # LangSplat's
 BITS = 16  # of a stored embedding number
@@ -109,7 +109,7 @@ def lacks_views(folder: Path, scene: Path, images: Path | None, embedder: str) -
     scene, or is empty."""
     if not any(folder.iterdir()):
         return True
-    manifest = read_manifest(folder)
+    manifest = RegionManifest.read(folder)
     if manifest is None or manifest.embedding_model != embedder:
         return False
     names = manifest.views or tuple(item.name for item in find_photographs(scene, images))
@@ -164,7 +164,7 @@ def _warn_of_skipped(report: ExtractReport, total: int) -> None:
         return
     first = "; ".join(list(report.skipped.values())[:3])
     if len(report.skipped) == total:
-        raise ScoupError(f"{none_of(total, 'photograph')} could be read: {first}")
+        raise ScoupError(f"{share_of(0, total, 'photograph')} could be read: {first}")
     warnings.warn(
         f"skipped {len(report.skipped)} of {counted(total, 'photograph')} that could not be read: {first}",
         ScoupWarning,

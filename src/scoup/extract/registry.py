@@ -13,31 +13,24 @@ from scoup.extract.automatic_masks import SamSegmenter
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
-from scoup.io import read_manifest
+from scoup.io import RegionManifest
 from scoup.models import (
     ANY_OPEN_CLIP,
     DENSE_PREFIX,
-    GROUP,
     HUB,
-    MOBILE_SAM,
     MOBILE_SAM_FILE,
-    OPEN_CLIP,
-    Device,
     HubEntry,
     ModelEntry,
-    open_dense_model,
     open_image_model,
     open_sam,
 )
 
 
-def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
+def _open_sam(
+    name: str, revision: str | None, device: torch.device | str, settings: MaskSettings
+) -> Segmenter:
     model = open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
-
-
-def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
-    return DenseEmbedder(open_dense_model(name, revision, device))
 
 
 def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
@@ -50,7 +43,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
+        "mobile-sam", _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
         help="MobileSAM: the default without a GPU (8.5 s without AVX-512 BF16)", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
@@ -64,13 +57,13 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     felzenszwalb.ENTRY,
 ))  # fmt: skip
-EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
+EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
     ModelEntry(
         _CLIP, open_image_model, size="598 MB", seconds=47.6, file=(_CLIP, "model.safetensors"),
         help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",
     ),
     ModelEntry(
-        f"{DENSE_PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
+        f"{DENSE_PREFIX}{_TIPS}", DenseEmbedder, size="784 MB", file=(_TIPS, "model.safetensors"),
         help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0, CC-BY-4.0",
         extra="models",
     ),
@@ -80,15 +73,15 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ),
     HUB,
     ModelEntry(
-        f"{DENSE_PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
+        f"{DENSE_PREFIX}MODEL", DenseEmbedder, seconds=2.4, extra="models",
         help="the same models in one pass per photograph instead of one per region",
     ),
     replace(
-        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
+        ANY_OPEN_CLIP, name="open_clip:MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
         help="MobileCLIP2 S2: small and fast; S0, B, S3, S4, too",
     ),
     replace(
-        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
+        ANY_OPEN_CLIP, name="open_clip:PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
         help="Perception Encoder B/16; PE-Core-L-14-336, PE-Core-bigG-14-448 are larger",
     ),
     ANY_OPEN_CLIP,
@@ -123,7 +116,7 @@ def open_pair(
 
     A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
     """
-    manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
+    manifest = RegionManifest.read(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
     def revision_of(table: Registry[ModelEntry], name: str) -> str | None:

@@ -42,7 +42,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
     """Write a field; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
         raise InputError(f"code weights must have 8 or 16 bits, got {weight_bits}")
-    check_output(path, overwrite)
+    check_output(path, overwrite=overwrite)
     weights = parts.code_weights
     if weight_bits == 8:
         # In steps of each code's largest weight, so that no code is rounded away.

@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base import native_core, refusals
+from scoup.base import native_core, required_core
 from scoup.scene import check_atoms, code_arrays, float32_products, stable_products
 
 
@@ -112,6 +112,6 @@ def _native(name: str, indices: Tensor, weights: Tensor, *others: Any) -> Tensor
     arrays = [
         item.detach().float().contiguous().numpy() if isinstance(item, Tensor) else item for item in others
     ]
-    with refusals():
+    with required_core():
         result = getattr(core, name)(*code_arrays(indices, weights), *arrays, torch.get_num_threads())
     return torch.from_numpy(result)

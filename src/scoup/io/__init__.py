@@ -4,61 +4,48 @@ All take and return the dataclasses of ``scene``. Readers check what a header cl
 nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one.
 """
 
-from scoup.io.camera_images import FACTORS, attach_images
+from scoup.io.camera_images import attach_images
 from scoup.io.camera_sources import find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.coco import CocoAnnotations
-from scoup.io.describe import describe_file, describe_folder
-from scoup.io.detections import CONCEPTS_FOLDER, detections_of, find_detections, new_store
-from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
-from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_label_png, save_png
+from scoup.io.describe import describe
+from scoup.io.detections import DetectionStore
+from scoup.io.gaussian_features import read_features
+from scoup.io.image_folder import DYNAMIC_MASK
+from scoup.io.images import load_image, open_image, read_mask, rgb_image, save_label_png, save_png
 from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.npy import open_npy
-from scoup.io.reading import MAX_IMAGE_SIDE, read_json, read_text
+from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.langsplat_autoencoder import Decoder, read_autoencoder
 from scoup.io.regions.load import load_regions, save_regions
-from scoup.io.regions.manifest import RegionManifest, read_manifest
+from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import FEATURES_FOLDER, ViewRegions
-from scoup.io.scene_parts import find_features, find_splat, usual_features
-from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians, save_gaussians
+from scoup.io.regions.views import ViewRegions
+from scoup.io.scene_parts import find_features, find_splat
+from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians, scene_photographs
 from scoup.io.similarity import read_similarity
-from scoup.io.splats.axes import turned, turned_direction
 from scoup.io.splats.formats import (
-    format_of,
     is_splat_name,
     splat_source,
     written_format,
 )
-from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
+from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
-    gaussians_from_table,
-    read_ply_table,
-    table_from_gaussians,
-    write_ply,
-    write_ply_table,
 )
 from scoup.io.splats.rotation import spread_directions
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.usd import UsdThing, write_usd
-from scoup.io.torch_file import load_torch
+from scoup.io.word_list import read_words
 
 __all__ = [
-    "ANY_PIXELS",
-    "CONCEPTS_FOLDER",
     "DYNAMIC_MASK",
-    "EXTENSIONS",
-    "FACTORS",
-    "FEATURES_FOLDER",
     "MAX_IMAGE_SIDE",
     "CocoAnnotations",
     "Decoder",
-    "GaussianFeatures",
-    "ImageFolder",
+    "DetectionStore",
     "PlyTable",
     "RegionManifest",
     "RegionStore",
@@ -67,53 +54,38 @@ __all__ = [
     "ViewRegions",
     "as_stored",
     "attach_images",
-    "camera_photographs",
     "convert_regions",
-    "describe_file",
-    "describe_folder",
-    "detections_of",
+    "describe",
     "find_cameras",
-    "find_detections",
     "find_features",
     "find_splat",
-    "format_of",
-    "gaussians_from_table",
     "has_cameras",
     "is_splat_name",
     "load_cameras",
     "load_gaussians",
     "load_image",
     "load_regions",
-    "load_torch",
-    "new_store",
     "open_image",
-    "open_npy",
     "read_autoencoder",
+    "read_features",
     "read_json",
     "read_langsplat",
-    "read_manifest",
     "read_mask",
-    "read_ply_table",
     "read_points",
     "read_similarity",
-    "read_text",
     "read_tracks",
+    "read_words",
     "rgb_image",
     "save_gaussians",
     "save_label_png",
     "save_png",
     "save_regions",
     "scene_folder",
+    "scene_photographs",
     "splat_source",
     "spread_directions",
-    "table_from_gaussians",
-    "turned",
-    "turned_direction",
-    "usual_features",
     "write_colmap",
     "write_gltf",
-    "write_ply",
-    "write_ply_table",
     "write_transforms",
     "write_usd",
     "written_format",

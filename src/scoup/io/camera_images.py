@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, counted, listed, none_of
-from scoup.io.image_folder import ImageFolder
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, counted, listed, share_of
+from scoup.io.image_folder import EXTENSIONS, ImageFolder
 from scoup.io.images import image_size
 from scoup.io.reading import sorted_cameras
 from scoup.scene import Camera, Cameras
@@ -62,7 +62,7 @@ def attach_images(
     if not attached and not unreadable and images is not None:
         named = listed([camera.name for camera in others])
         raise MissingFileError(
-            Path(images), f"has {none_of(len(cameras), 'image')} ({named})",
+            Path(images), f"has {share_of(0, len(cameras), 'image')} ({named})",
             "use the folder of their photographs",
         )  # fmt: skip
     keep = missing_images == "keep" or not attached
@@ -78,7 +78,7 @@ def attach_images(
         searched = _searched(folder, missing)
         message = f"skipped {len(missing)} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if not attached:
-            message = f"{none_of(len(missing), 'image')} was found ({searched}); using the cameras alone"
+            message = f"{share_of(0, len(missing), 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {message}", ScoupWarning, stacklevel=3)
     return sorted_cameras(source, [*attached, *(others if keep else [])])
 
@@ -103,6 +103,19 @@ def image_files(
                 misfits[path] = misfit
     _refuse(misfits)
     return files, _searched(folder, missing) if missing else ""
+
+
+def folder_photographs(scene: Path, images: str | Path | None = None) -> dict[str, Path]:
+    """Return the photographs of a scene without cameras by their names: those of ``images``, else of its folder
+    ``images``, ``images_2`` and so on, else of its own."""
+    usual = ("images" if factor == 1 else f"images_{factor}" for factor in FACTORS)
+    folders = [scene / name for name in usual if (scene / name).is_dir()] or [scene]
+    folders = folders if images is None else [Path(images)]
+    for folder in folders:
+        if photographs := ImageFolder(folder).photographs():
+            return photographs
+    remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
+    raise MissingFileError(folders[0], "contains no photographs", remedy)
 
 
 def _searched(folder: ImageFolder | None, missing: list[str]) -> str:

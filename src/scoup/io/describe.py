@@ -15,14 +15,22 @@ from scoup.io.images import image_fault
 from scoup.io.reading import read_json
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scene_parts import usual_features
+from scoup.io.scene_parts import find_features
 from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, is_splat_name, other_format, read_endings, splat_source
 from scoup.scene import Cameras, Gaussians, codes_problem, sanity_problems
 
 
-def describe_file(path: Path) -> dict[str, Any] | None:
-    """Return the description of a splat or of cameras; None for JSON of a word table."""
+def describe(path: Path) -> Described | None:
+    """Describe a splat or cameras; None for JSON of a word table. Of a folder a scene, or region features alone;
+    missing parts are left out."""
+    if path.is_dir():
+        return _describe_folder(path)
+    record = _describe_file(path)
+    return None if record is None else Described(record)
+
+
+def _describe_file(path: Path) -> dict[str, Any] | None:
     suffix = path.suffix.lower()
     if suffix == ".json" and not is_splat_name(path):
         return _describe_cameras_of(path) if _is_cameras(path) else None
@@ -120,15 +128,15 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class DescribedFolder:
-    """The description of a folder, and what was loaded for it: the splat and its Gaussians, the cameras; None if there
-    are none.
+class Described:
+    """The description of a file or folder, and what was loaded for a folder: the splat and its Gaussians, the cameras;
+    None if there are none.
     """
 
     record: dict[str, Any]
-    splat: SplatSource | None
-    gaussians: Gaussians | None
-    cameras: Cameras | None
+    splat: SplatSource | None = None
+    gaussians: Gaussians | None = None
+    cameras: Cameras | None = None
 
 
 def _warn_of_codes(dims: Iterable[int]) -> None:
@@ -138,7 +146,7 @@ def _warn_of_codes(dims: Iterable[int]) -> None:
 
 def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
     """Return the regions of cameras; where a build would find none, it warns of the reason."""
-    folder = usual_features(path)
+    folder = find_features(path, to_make=True)
     if not folder.is_dir():
         return {}
     try:
@@ -154,8 +162,7 @@ def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
     return {"views_with_regions": len(regions), "regions": counts}
 
 
-def describe_folder(path: Path) -> DescribedFolder:
-    """Describe a scene, or region features alone. Missing parts are left out."""
+def _describe_folder(path: Path) -> Described:
     record: dict[str, Any] = {}
     splat, gaussians, cameras = None, None, None
     no_cameras = MissingFileError(path, "")
@@ -186,4 +193,4 @@ def describe_folder(path: Path) -> DescribedFolder:
             f"contains nothing that SCOUP reads: it has no region features, {no_splat}, and {no_cameras.problem}",
             no_cameras.remedy,
         )
-    return DescribedFolder({"kind": "scene", **record}, splat, gaussians, cameras)
+    return Described({"kind": "scene", **record}, splat, gaussians, cameras)

@@ -7,12 +7,11 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
 from scoup.base import (
-    WAIT,
     FileFormatError,
     InputError,
     JsonNode,
@@ -24,8 +23,6 @@ from scoup.io.reading import read_json
 from scoup.io.regions.compact import stem_of
 from scoup.scene import Detections
 
-CONCEPTS_FOLDER = "concepts"
-"""Of the folder, inside that of the region features."""
 MANIFEST = "concepts.json"
 SCHEMA = "scoup.concepts"
 VERSION = 1
@@ -39,6 +36,8 @@ class DetectionStore:
     folder: Path
     texts: tuple[str, ...]
     settings: dict[str, Any]  # of the model, as plain JSON values
+    FOLDER: ClassVar = "concepts"
+    """Of the name, inside the folder of the region features."""
 
     @property
     def fingerprint(self) -> str:
@@ -57,6 +56,20 @@ class DetectionStore:
         texts = tuple(item.text() for item in record.get("texts").items())
         return cls(folder, texts, record.get("settings").object())
 
+    @classmethod
+    def beside(cls, features: Path) -> DetectionStore | None:
+        """Return the detections beside region features; None if there are none."""
+        folder = features / cls.FOLDER
+        return cls.open(folder) if (folder / MANIFEST).is_file() else None
+
+    @classmethod
+    def new(cls, folder: Path, texts: Sequence[str], settings: dict[str, Any]) -> DetectionStore:
+        """Return the store of texts and a model, to ``begin`` and write to."""
+        words = tuple(dict.fromkeys(texts))
+        if not words:
+            raise InputError("pass at least one word to look for")
+        return cls(folder, words, settings)
+
     def begin(self, overwrite: bool = False) -> None:
         """Write the manifest, unless it is there.
 
@@ -72,7 +85,7 @@ class DetectionStore:
             return
         record = {"schema": SCHEMA, "version": VERSION, "settings": self.settings, "texts": list(self.texts)}
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_text(self.folder / MANIFEST, json.dumps(record, indent=2) + "\n", True, WAIT)
+        write_text(self.folder / MANIFEST, json.dumps(record, indent=2) + "\n", True, wait=True)
 
     def has(self, name: str, photograph: str) -> bool:
         """Return whether a photograph (by its SHA-256) was looked at."""
@@ -115,6 +128,11 @@ class DetectionStore:
             raise FileFormatError(path, f"is of a photograph of {width} x {height} pixels", _REMEDY)
         return Detections(texts, rows[:, 1].float(), rows[:, 2:].float(), (width, height))
 
+    def of(self, names: Iterable[str]) -> dict[str, Detections]:
+        """Return the detections of the photographs among ``names`` that were looked at."""
+        stored = {name: self.read(name) for name in names}
+        return {name: detections for name, detections in stored.items() if detections is not None}
+
     def _record(self, name: str) -> JsonNode | None:
         """Return the record of a photograph, if it was made with these texts and this model."""
         if not self._file(name).is_file():
@@ -124,23 +142,3 @@ class DetectionStore:
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{stem_of(name)}.json"
-
-
-def find_detections(features: Path) -> DetectionStore | None:
-    """Return the detections beside region features; None if there are none."""
-    folder = features / CONCEPTS_FOLDER
-    return DetectionStore.open(folder) if (folder / MANIFEST).is_file() else None
-
-
-def detections_of(store: DetectionStore, names: Iterable[str]) -> dict[str, Detections]:
-    """Return the detections of the photographs among ``names`` that were looked at."""
-    stored = {name: store.read(name) for name in names}
-    return {name: detections for name, detections in stored.items() if detections is not None}
-
-
-def new_store(folder: Path, texts: Sequence[str], settings: dict[str, Any]) -> DetectionStore:
-    """Return the store of texts and a model, to ``begin`` and write to."""
-    words = tuple(dict.fromkeys(texts))
-    if not words:
-        raise InputError("pass at least one word to look for")
-    return DetectionStore(folder, words, settings)

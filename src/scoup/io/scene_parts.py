@@ -29,12 +29,13 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> SplatSource:
         raise FileFormatError(error.path, problem, "name the trained splat with `gaussians`") from error
 
 
-def find_features(scene: Path, features: Path | None = None) -> Path:
-    """Return the folder of region features: the one named, else the usual one in the scene's folder."""
+def find_features(scene: Path, features: Path | None = None, to_make: bool = False) -> Path:
+    """Return the folder of region features: the one named, else the usual one in the scene's folder, which must exist
+    unless it is ``to_make``."""
     if features is not None:
         return features
-    folder = usual_features(scene)
-    if not folder.is_dir():
+    folder = scene_folder(scene) / FEATURES_FOLDER
+    if not to_make and not folder.is_dir():
         problem = "there is no such folder (the region features were expected here)"
         raise MissingFileError(
             folder,
@@ -42,8 +43,3 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
             f"make them with scoup extract {shlex.quote(str(scene))}, or name their folder with `features`",
         )
     return folder
-
-
-def usual_features(scene: Path) -> Path:
-    """Return the folder in which the region features of a scene are, or will be, unless another one is named."""
-    return scene_folder(scene) / FEATURES_FOLDER

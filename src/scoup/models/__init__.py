@@ -6,12 +6,12 @@ and says which text space its embeddings are in.
 
 from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
-from scoup.models.dense import DENSE_PREFIX, DenseModel, open_dense_model
-from scoup.models.entry import Device, HubEntry, ModelEntry
-from scoup.models.hub import OPEN_CLIP, ModelIdentity
+from scoup.models.dense import DENSE_PREFIX, open_dense_model
+from scoup.models.entry import HubEntry, ModelEntry
+from scoup.models.hub import ModelIdentity
 from scoup.models.image import open_image_model
 from scoup.models.mobile_sam import MOBILE_SAM_FILE
-from scoup.models.sam import MOBILE_SAM, EncodedImage, PointModel, open_sam
+from scoup.models.sam import EncodedImage, PointModel, open_sam
 from scoup.models.text import (
     ARTICLES,
     COLORS,
@@ -20,10 +20,9 @@ from scoup.models.text import (
     Encoder,
     TextEncoder,
     check_model,
-    everyday_vocabulary,
 )
-from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
-from scoup.models.word_table import check_table_name, is_table, load_table, save_table
+from scoup.models.text_models import ANY_OPEN_CLIP, HUB
+from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 
 __all__ = [
@@ -34,17 +33,12 @@ __all__ = [
     "CONCEPTS",
     "DENSE_PREFIX",
     "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
-    "GROUP",
     "HUB",
     "LEAST_WORDS",
     "LONGEST",
-    "MOBILE_SAM",
     "MOBILE_SAM_FILE",
     "NO_WORDS_FOR_COLORS",
-    "OPEN_CLIP",
     "ConceptModel",
-    "DenseModel",
-    "Device",
     "EncodedImage",
     "Encoder",
     "HubEntry",
@@ -52,16 +46,12 @@ __all__ = [
     "ModelIdentity",
     "PointModel",
     "TextEncoder",
+    "WordTable",
     "check_model",
-    "check_table_name",
-    "everyday_vocabulary",
-    "is_table",
-    "load_table",
     "open_concepts",
     "open_dense_model",
     "open_image_model",
     "open_sam",
-    "save_table",
     "with_everyday",
 ]
 

@@ -21,14 +21,13 @@ from scoup.base import (
     check_arguments,
     counted,
     listed,
-    quoted,
 )
 from scoup.models import words
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity
 from scoup.models.text_models import TEXT_MODELS, open_text_model
 from scoup.models.word_cache import PROBE, everyday_vectors
-from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
+from scoup.models.word_table import WordTable, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 
 COLORS = "colors"  # name of embeddings made without a model (``extract.plain_colors``)
@@ -126,7 +125,7 @@ class TextEncoder:
         """Open a text encoder of a word table, a dict, or a CLIP or SigLIP model.
 
         Args:
-            model_or_table: a word table (.npz, .json, .safetensors; see ``scoup.models.word_table.load_table``), a dict
+            model_or_table: a word table (.npz, .json, .safetensors; see ``scoup.models.WordTable.load``), a dict
                 of name -> vector [D], or a model: a folder or hub id that transformers knows, such as
                 "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", or "open_clip:ARCHITECTURE/PRETRAINED", such as
                 "open_clip:ViT-B-16/laion2b_s34b_b88k". A name with the extension of a table is always a file.
@@ -142,8 +141,8 @@ class TextEncoder:
         if isinstance(model_or_table, Mapping):
             return cls._of_table(WordTable.of(model_or_table))
         text = str(model_or_table)
-        if is_table(text):
-            return cls._of_table(load_table(text), text)
+        if WordTable.is_meant(text):
+            return cls._of_table(WordTable.load(text), text)
         if text == COLORS:
             raise ScoupError(NO_WORDS_FOR_COLORS)
         refuse_other_file(text)
@@ -191,9 +190,8 @@ class TextEncoder:
             if not isinstance(phrase, str) or not phrase.strip():
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
             if len(phrase) > LONGEST:
-                raise InputError(
-                    f"{quoted(phrase)}: is too long for a phrase; pass at most {LONGEST:,} characters"
-                )
+                named = f"{phrase[:80]!r}... ({len(phrase):,} characters)"
+                raise InputError(f"{named}: is too long for a phrase; pass at most {LONGEST:,} characters")
         if not phrases:
             return torch.zeros(0, self.dim)
         if self._model is not None and len(phrases) > _BATCH and tuple(phrases) == words.EVERYDAY_WORDS:
@@ -229,6 +227,16 @@ class TextEncoder:
             self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
         return self._everyday
 
+    def vocabulary(self) -> tuple[str, ...]:
+        """Return the words by which things are named by default: everyday words; of a table, all its names but the
+        canonical phrases.
+        """
+        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+        cleaned = (
+            " ".join(name.split()) for name in (words.EVERYDAY_WORDS if self.names is None else self.names)
+        )
+        return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
+
     def close(self) -> None:
         """Release the model or table."""
         self._encode = self._canonical = self._everyday = None
@@ -261,16 +269,6 @@ def word_forms(phrase: str) -> list[str]:
         if bare.endswith(ending) and len(bare) > len(ending) + 1
     ]
     return list(dict.fromkeys([folded, bare, *singular]))
-
-
-def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
-    """Return the words by which things are named by default: everyday words; of a table, all its names but the
-    canonical phrases.
-    """
-    phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-    names = words.EVERYDAY_WORDS if encoder.names is None else encoder.names
-    cleaned = (" ".join(name.split()) for name in names)
-    return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
 
 
 def check_model(name: str) -> None:

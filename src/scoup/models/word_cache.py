@@ -20,7 +20,7 @@ from torch import Tensor
 
 from scoup.base import FileFormatError, ScoupError, slug, write_npz
 from scoup.models.hub import ModelIdentity
-from scoup.models.word_table import MODEL_KEY, WordTable, load_table
+from scoup.models.word_table import MODEL_KEY, WordTable
 
 PROBE = "object"
 """A phrase whose vector shows whether a file came from this model."""
@@ -85,7 +85,7 @@ def _file(model: ModelIdentity, words: Sequence[str]) -> Path | None:
 def _read(path: Path, names: Sequence[str], probe: Tensor) -> Tensor | None:
     """Return the vectors of all names but the first; None unless the file is whole and of this model."""
     try:
-        table = load_table(path)
+        table = WordTable.load(path)
     except (ScoupError, OSError):
         return None
     if table.names != tuple(names) or table.vectors.shape[1:] != probe.shape[1:]:

@@ -56,10 +56,52 @@ class WordTable:
         stacked = torch.stack(list(rows.values())).float().numpy()
         return cls(Path("the dict of text embeddings"), list(rows), stacked)
 
+    @staticmethod
+    def load(path: str | Path) -> WordTable:
+        """Read a table; see ``save`` for one of its forms.
 
-def is_table(model_or_table: str | Path) -> bool:
-    """Return whether the text means a table file and not a model, by its extension."""
-    return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
+        Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] per name; .json with
+        ``{name: [numbers]}``; .safetensors with one tensor per name, or a tensor ``vectors`` and the names as a
+        JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
+        """
+        remedy = "check the path, or name a CLIP model instead"
+        path = existing_file(path, "a table of text embeddings", remedy)
+        read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
+            path.suffix.lower()
+        )
+        if read is None:
+            raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
+        with _reporting_damage(path):
+            return read(path)
+
+    @classmethod
+    def save(
+        cls,
+        path: str | Path,
+        names: Sequence[str],
+        vectors: Any,  # [M, D]
+        overwrite: bool = False,
+        model: str = "",
+    ) -> None:
+        """Write a table, whose name ends in .npz, with arrays ``names`` [M], all different, and ``vectors`` [M, D]
+        float32, scaled to unit norm, of an embedding model."""
+        cls.check_name(path)
+        if len(set(names)) != len(names):
+            raise InputError(f"{path}: two names of the table are the same")
+        table = cls(Path(path), names, np.asarray(vectors), model)
+        arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
+        write_npz(path, arrays, overwrite)
+
+    @staticmethod
+    def is_meant(model_or_table: str | Path) -> bool:
+        """Return whether the text means a table file and not a model, by its extension."""
+        return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
+
+    @staticmethod
+    def check_name(path: str | Path) -> None:
+        """Refuse a name that no table may be written under."""
+        if Path(path).suffix.lower() != ".npz":
+            raise InputError(f"{path}: tables are written as .npz; change the file's extension")
 
 
 def refuse_other_file(model_or_table: str) -> None:
@@ -67,47 +109,6 @@ def refuse_other_file(model_or_table: str) -> None:
     path = Path(model_or_table)
     if path.is_file() or path.suffix.lower() in _OTHER_SUFFIXES:
         raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
-
-
-def load_table(path: str | Path) -> WordTable:
-    """Read a table; see ``save_table`` for one of its forms.
-
-    Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] per name; .json with
-    ``{name: [numbers]}``; .safetensors with one tensor per name, or a tensor ``vectors`` and the names as a
-    JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
-    """
-    remedy = "check the path, or name a CLIP model instead"
-    path = existing_file(path, "a table of text embeddings", remedy)
-    read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
-        path.suffix.lower()
-    )
-    if read is None:
-        raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
-    with _reporting_damage(path):
-        return read(path)
-
-
-def save_table(
-    path: str | Path,
-    names: Sequence[str],
-    vectors: Any,  # [M, D]
-    overwrite: bool = False,
-    model: str = "",
-) -> None:
-    """Write a table, whose name ends in .npz, with arrays ``names`` [M], all different, and ``vectors`` [M, D] float32,
-    scaled to unit norm, of an embedding model."""
-    check_table_name(path)
-    if len(set(names)) != len(names):
-        raise InputError(f"{path}: two names of the table are the same")
-    table = WordTable(Path(path), names, np.asarray(vectors), model)
-    arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
-    write_npz(path, arrays, overwrite)
-
-
-def check_table_name(path: str | Path) -> None:
-    """Refuse a name that no table may be written under."""
-    if Path(path).suffix.lower() != ".npz":
-        raise InputError(f"{path}: tables are written as .npz; change the file's extension")
 
 
 def _read_npz(path: Path) -> WordTable:

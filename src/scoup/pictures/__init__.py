@@ -6,7 +6,7 @@ All functions take arrays or tensors and return [H, W, 3] uint8.
 from scoup.pictures.animation import save_animation
 from scoup.pictures.colors import Picture, as_picture, code_basis, code_picture, label_colors
 from scoup.pictures.legends import heat_legend, swatch_legend
-from scoup.pictures.lettering import captioned, font, stacked
+from scoup.pictures.lettering import captioned
 from scoup.pictures.overlays import (
     answer_overlay,
     heat_map,
@@ -16,11 +16,10 @@ from scoup.pictures.overlays import (
     texts_overlay,
 )
 from scoup.pictures.region_sheet import regions_sheet
-from scoup.pictures.sheet import GAP, contact_sheet, sheet_tile
+from scoup.pictures.sheet import contact_sheet, sheet_tile
 from scoup.pictures.video import check_video_writer, save_video
 
 __all__ = [
-    "GAP",
     "Picture",
     "answer_overlay",
     "as_picture",
@@ -29,7 +28,6 @@ __all__ = [
     "code_basis",
     "code_picture",
     "contact_sheet",
-    "font",
     "heat_legend",
     "heat_map",
     "heat_overlay",
@@ -40,7 +38,6 @@ __all__ = [
     "save_animation",
     "save_video",
     "sheet_tile",
-    "stacked",
     "swatch_legend",
     "texts_overlay",
 ]

@@ -8,16 +8,26 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from scoup.pictures.colors import BACKDROP, STRONGEST, Picture, heat_amounts, heat_colors, heat_opacity
-from scoup.pictures.lettering import FAINT, INK, LEAST_WIDTH, PAPER, font, lines_of, strip_height, text_width
+from scoup.pictures.lettering import (
+    FAINT,
+    INK,
+    LEAST_WIDTH,
+    PAPER,
+    font,
+    lines_of,
+    stacked,
+    strip_height,
+    text_width,
+)
 
 DRAW = 0.5  # relevancy where a query fits as well as the best canonical phrase
 _DRAW_LABELS = ("0.5: draw with the canonical phrases", "0.5: draw", "0.5")
 
 
-def heat_legend(width: int, low: float, high: float) -> Picture:
-    """Draw the colours of a heat map along the whole scale of relevancy, with ticks at 0, 0.5 and 1. The colours end at
-    ``low`` and ``high``, the largest of the map: the scale is empty beyond it."""
-    width = max(width, LEAST_WIDTH)
+def heat_legend(picture: Picture, low: float, high: float) -> Picture:
+    """Return a picture above its legend: the colours of a heat map along the whole scale of relevancy, with ticks at 0,
+    0.5 and 1. The colours end at ``low`` and ``high``, the largest of the map: the scale is empty beyond it."""
+    width = max(picture.shape[1], LEAST_WIDTH)
     height = strip_height(width)
     size = max(9, height * 0.42)
     face = font(size)
@@ -37,7 +47,7 @@ def heat_legend(width: int, low: float, high: float) -> Picture:
     label = next((text for text in _DRAW_LABELS if text_width(text, face) <= room), "")
     draw.text(((start + end) / 2, y), label, INK, face, anchor="mm")
     _ends(draw, (start, top, end, bottom), low, high)
-    return np.asarray(canvas)
+    return stacked([picture, np.asarray(canvas)])
 
 
 def scale_ends(width: int) -> tuple[int, int]:
@@ -68,11 +78,11 @@ def _ends(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], low: float,
 
 
 def swatch_legend(
-    width: int, text: str, of: str, colors: Sequence[tuple[int, int, int]], names: Sequence[str]
+    picture: Picture, text: str, of: str, colors: Sequence[tuple[int, int, int]], names: Sequence[str]
 ) -> Picture:
-    """Return a legend: the meaning of a picture's colours, and below it ``of`` and the colours (sRGB 0..255) with their
-    names, as many as fit."""
-    width = max(width, LEAST_WIDTH)
+    """Return a picture above its legend: the meaning of its colours, and below it ``of`` and the colours (sRGB 0..255)
+    with their names, as many as fit."""
+    width = max(picture.shape[1], LEAST_WIDTH)
     size = max(9.0, strip_height(width) * 0.42)
     side, step = round(size * 1.1), round(size * 1.7)
     gap = max(3, side // 3)
@@ -93,4 +103,4 @@ def swatch_legend(
         draw.rectangle((x, middle - side / 2, x + side, middle + side / 2), fill=color, outline=FAINT)
         draw.text((x + side + gap, middle), name, INK, face, anchor="lm")
         x = after + 2 * gap
-    return np.asarray(canvas)
+    return stacked([picture, np.asarray(canvas)])

@@ -24,7 +24,7 @@ from scoup.pictures.colors import (
     label_colors,
 )
 from scoup.pictures.legends import heat_legend
-from scoup.pictures.lettering import captioned, stacked
+from scoup.pictures.lettering import captioned
 
 MASK_COLOR = (255, 92, 40)
 BOX_COLOR = (80, 220, 255)
@@ -46,7 +46,7 @@ def heat_map(
     shown = heat_overlay(values, rgb, span)
     said = "" if score is None else f"score {score:.2f}"
     remark = ", ".join(filter(None, [view, f"level {level}", said]))
-    return stacked([captioned(shown, query, remark), heat_legend(shown.shape[1], *span)])
+    return heat_legend(captioned(shown, query, remark), *span)
 
 
 def heat_span(relevancy: np.ndarray) -> tuple[float, float]:

@@ -22,17 +22,20 @@ def contact_sheet(
     heading: str = "",
     footer: str = "",
     remarks: Sequence[str] = (),
+    tile_width: int | None = None,
 ) -> Picture:
     """Return pictures [H, W, 3] of any sizes in rows, each under its title, scaled to fit.
 
     Args:
         titles: one a tile, or none at all.
         columns: tiles in a row.
-        width: of the sheet, in pixels; 1200 suits a README.
+        width: of the sheet, in pixels; 1200 suits a README. Or ``tile_width``, of each of ``columns`` tiles.
         heading: a line above all.
         footer: a fainter text below all, broken into lines.
         remarks: written on the right of the titles, one a tile, or none at all.
     """
+    if tile_width is not None:
+        width = columns * (tile_width + GAP) + GAP
     columns = min(columns, len(tiles))
     tile_width = sheet_tile_width(width, columns)
     shown = [_scaled(as_picture(tile), tile_width) for tile in tiles]

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.base import InputError, counted, unique_slugs, write_npz
 from scoup.io import CocoAnnotations, save_png
-from scoup.pictures import GAP, Picture, answer_overlay, as_picture, contact_sheet, heat_legend, stacked
+from scoup.pictures import Picture, answer_overlay, as_picture, contact_sheet, heat_legend
 from scoup.query.view_answer import ViewAnswer
 from scoup.scene import Camera
 
@@ -204,10 +204,9 @@ class AnswerSheets:
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
         beside = min(self.views, VIEWS_BESIDE) if alone else len(columns)
-        width = beside * (self._cell_width + GAP) + GAP
-        heading = self._heading(columns)
-        sheet = contact_sheet(tiles, titles, beside, width, heading, HOW_TO_READ, remarks)
-        return stacked([sheet, heat_legend(width, *span)])
+        heading, width = self._heading(columns), self._cell_width
+        sheet = contact_sheet(tiles, titles, beside, 0, heading, HOW_TO_READ, remarks, tile_width=width)
+        return heat_legend(sheet, *span)
 
     def _heading(self, columns: range) -> str:
         n_shown = len(self._rows)

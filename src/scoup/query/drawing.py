@@ -22,7 +22,6 @@ from scoup.pictures import (
     code_picture,
     heat_map,
     heat_overlay,
-    stacked,
     swatch_legend,
 )
 from scoup.query.ask import answers_of
@@ -113,8 +112,7 @@ def code_drawing(field: Field, level: str | int, plain: bool = False) -> Draw:
             return picture
         titled = captioned(picture, f"codes, level {LEVEL_NAMES.get(name, name)}", view.camera.name)
         swatches, names = [*colors.leading.values()], [*colors.leading]
-        legend = swatch_legend(titled.shape[1], CODE_LEGEND, "most frequent atoms", swatches, names)
-        return stacked([titled, legend])
+        return swatch_legend(titled, CODE_LEGEND, "most frequent atoms", swatches, names)
 
     return draw
 

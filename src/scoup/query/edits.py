@@ -14,7 +14,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, counted, spread
 from scoup.field import Field
-from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source, table_from_gaussians
+from scoup.io import PlyTable, splat_source
 from scoup.pictures import Picture, as_picture, contact_sheet, mask_overlay
 from scoup.query.field_view import FieldView
 from scoup.scene import SH_C0, Camera, Gaussians
@@ -113,13 +113,13 @@ class SplatTable:
         try:
             path = None if path is None else splat_source(path).path
             if path is not None and path.suffix.lower() == ".ply":
-                table = read_ply_table(path)
-                gaussians, is_gaussian = gaussians_from_table(table)
+                table = PlyTable.read(path)
+                gaussians, is_gaussian = table.gaussians()
                 if gaussians.fingerprint() == field.fingerprint:
                     return cls(table, torch.from_numpy(is_gaussian))
         except InputError:
             pass  # compressed, so its rows cannot be copied; or missing, and the field has its geometry embedded
-        return cls(table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))
+        return cls(PlyTable.of(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))
 
     def select(self, mask: Tensor) -> PlyTable:
         """Return the rows of the Gaussians in ``mask`` [N] boolean."""
@@ -128,7 +128,7 @@ class SplatTable:
     def edited(self, mask: Tensor, gaussians: Gaussians) -> PlyTable:
         """Return all rows, those in ``mask`` [N] boolean with the colours and opacities of ``gaussians`` (N)."""
         chosen = gaussians.select(mask.to(gaussians.device)).to("cpu")
-        values, rows, changed = table_from_gaussians(chosen), self._of_rows(mask), self.table.rows.copy()
+        values, rows, changed = PlyTable.of(chosen), self._of_rows(mask), self.table.rows.copy()
         for name in values.names:
             if name == "opacity" or name.startswith(("f_dc_", "f_rest_")):
                 changed[name][rows] = values.rows[name]

@@ -13,16 +13,7 @@ import torch
 
 from scoup.base import Progress, atomic_file, no_progress, spread, unique_slugs, write_text
 from scoup.field import Field
-from scoup.io import (
-    CocoAnnotations,
-    PlyTable,
-    UsdThing,
-    save_label_png,
-    save_png,
-    write_ply,
-    write_ply_table,
-    write_usd,
-)
+from scoup.io import CocoAnnotations, PlyTable, UsdThing, save_label_png, save_png, write_usd
 from scoup.pictures import Picture, label_colors, region_overlay
 from scoup.query.boxes import PointSets
 from scoup.query.edits import SplatTable, edited
@@ -95,17 +86,17 @@ class LabelFiles:
             rows = SplatTable.of(field, geometry)
             for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
                 rows = replace(rows, table=rows.with_column(name, numbers, NONE))
-            write_ply_table(rows.table, folder / IDS)
+            rows.table.write(folder / IDS)
         if "colors" in outputs:
-            write_ply(labelled_colors(gaussians, labels), folder / COLORS)
+            PlyTable.of(labelled_colors(gaussians, labels)).write(folder / COLORS)
         if "glb" in outputs:
-            from scoup.io import GaussianFeatures, write_gltf
+            from scoup.io import write_gltf
 
-            write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names))
+            write_gltf(gaussians, folder / GLB, ids=labels.ids, names=labels.names)
         if "usd" in outputs:
             write_usd(gaussians, folder / USD, things=usd_things(field, labels))
         for name, file in self._clouds.items() if "clouds" in outputs else ():
-            write_ply_table(point_cloud(gaussians.select(labels.mask(name))), folder / file)
+            point_cloud(gaussians.select(labels.mask(name))).write(folder / file)
         return self._write_views(field, labels, folder, progress)
 
     def _write_views(

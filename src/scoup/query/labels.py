@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, UnknownNameError, card
 from scoup.field import NO_THING, Field
-from scoup.pictures import Picture, contact_sheet, label_colors, stacked, swatch_legend
+from scoup.pictures import Picture, contact_sheet, label_colors, swatch_legend
 from scoup.query.answer import Answer
 from scoup.query.field_view import FieldView
 
@@ -166,11 +166,10 @@ def label_sheet(labels: GaussianLabels, views: Mapping[str, Picture]) -> Picture
     counts, colors = labels.counts(), label_colors(len(labels.names))
     order = sorted(enumerate(labels.names), key=lambda word: -counts[word[1]])
     used = [(number, name) for number, name in order if counts[name]]
-    legend = swatch_legend(
-        sheet.shape[1],
+    return swatch_legend(
+        sheet,
         f"Labels of {len(labels.ids):,} Gaussians; grey: {NONE_NAME} of the words ({counts[NONE_NAME]:,}).",
         "words",
         [tuple(colors[number].tolist()) for number, _ in used],
         [name for _, name in used],
     )
-    return stacked([sheet, legend])

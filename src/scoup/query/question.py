@@ -20,7 +20,6 @@ from scoup.models import (
     LEAST_WORDS,
     NO_WORDS_FOR_COLORS,
     TextEncoder,
-    everyday_vocabulary,
     with_everyday,
 )
 from scoup.query import constants
@@ -218,7 +217,7 @@ def naming_question(field: Field, encoder: TextEncoder, words: Sequence[str] = (
 
     def made() -> Question[Any]:
         given = None if field.thing_table is None else field.thing_table.names
-        every = words or everyday_vocabulary(encoder)
+        every = words or encoder.vocabulary()
         if not words and given is not None and encoder.names is None:  # a table has only its names
             folded = {word.casefold() for word in every}
             every = (*every, *(text for text in given.texts if text.casefold() not in folded))

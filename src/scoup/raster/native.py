@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base import MOST_ROWS_IN_MEMORY, refusals, require_core
+from scoup.base import MOST_ROWS_IN_MEMORY, required_core
 from scoup.raster.combinations import CombinedLabels
 from scoup.raster.decoding import decoded
 from scoup.raster.presets import RasterPreset
@@ -44,8 +44,8 @@ def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: boo
     depend on the camera once, and passes over chunks of 8,192 rows that a camera cannot see, for 48 bytes per Gaussian
     more, up to ``MOST_ROWS_IN_MEMORY`` of them.
     """
-    with refusals():
-        return require_core().Scene(
+    with required_core() as core:
+        return core.Scene(
             _array(gaussians.means),
             _array(gaussians.quats),
             _array(gaussians.scales),
@@ -62,8 +62,8 @@ def project(
 ) -> NativeProjection:
     """See ``raster.project``; ``scene`` is from ``make_scene``."""
     scene = make_scene(gaussians) if scene is None else scene
-    with refusals():
-        handle = require_core().project(
+    with required_core() as core:
+        handle = core.project(
             scene,
             _array(camera.viewmat[:3], torch.float64),
             (camera.fx, camera.fy, camera.cx, camera.cy),
@@ -79,8 +79,8 @@ def project(
 
 def region_sums(projection: NativeProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``."""
-    with refusals():
-        entries = require_core().region_sums(
+    with required_core() as core:
+        entries = core.region_sums(
             projection.handle, _array(combined.map, torch.int32), torch.get_num_threads()
         )
     gaussian, combination, weight = (torch.from_numpy(array) for array in entries)
@@ -99,18 +99,16 @@ def render_values(projection: NativeProjection, values: Tensor) -> Tensor:
 
 
 def _channels(projection: NativeProjection, values: Tensor, with_alpha: bool) -> tuple[Any, Any]:
-    with refusals():
-        return require_core().render_channels(
-            projection.handle, _array(values), torch.get_num_threads(), with_alpha
-        )
+    with required_core() as core:
+        return core.render_channels(projection.handle, _array(values), torch.get_num_threads(), with_alpha)
 
 
 def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     table = _code_table(indices, weights, n_atoms)
-    with refusals():
+    with required_core() as core:
         return torch.from_numpy(
-            require_core().render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
+            core.render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
         )
 
 
@@ -127,10 +125,10 @@ def render_cosines_and_norms(
     """See ``raster.render_cosines_and_norms``."""
     table = _code_table(indices, weights, codebook.shape[1])
     levels, words = codebook.cpu(), queries.cpu()
-    with refusals():
+    with required_core() as core:
         grams = _array(torch.stack([stable_products(atoms, atoms) for atoms in levels]))
         scores = _array(torch.stack([stable_products(atoms, words) for atoms in levels]))
-        cosines, norms = require_core().render_cosines(
+        cosines, norms = core.render_cosines(
             projection.handle, *table, grams, scores, torch.get_num_threads()
         )
     return torch.from_numpy(cosines), torch.from_numpy(norms)

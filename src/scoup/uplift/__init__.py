@@ -7,7 +7,7 @@ in this order. Region sums are files in one folder, so that views can be shared 
 from scoup.uplift.field_build import build, check_scene, pack
 from scoup.uplift.field_transfer import transfer
 from scoup.uplift.fit import Verdict, fit_problem, measure_fit
-from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels, read_features
+from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels
 from scoup.uplift.naming import name_field, name_things
 from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
@@ -45,7 +45,6 @@ __all__ = [
     "name_things",
     "open_sums",
     "pack",
-    "read_features",
     "region_sums",
     "stored_size",
     "transfer",

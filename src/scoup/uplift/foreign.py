@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.base import VERSION, FileFormatError, InputError, Progress, no_progress, scratch_array
 from scoup.coding import decoded_cosines, encode, fit_codes
 from scoup.field import Field, FieldInfo
-from scoup.io import Decoder, load_torch, open_npy, read_langsplat
+from scoup.io import Decoder, read_langsplat
 from scoup.scene import LEAST_EMBEDDING, Gaussians, SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift.provenance import recorded_model
 
@@ -24,34 +24,6 @@ ROWS_AT_A_TIME = 65_536
 TOP_K = 4  # LangSplatV2's
 LEVELS = ("s", "m", "l")
 _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
-
-
-def read_features(path: str | Path) -> np.ndarray:
-    """Read features, one row per Gaussian: [N, D], or [N, S, D] of S levels, of an .npy (mapped into memory), or a .pt
-    or .pth with one tensor."""
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix == ".npy":
-        features = open_npy(path, "features of Gaussians")
-    elif suffix in (".pt", ".pth"):
-        content = load_torch(
-            path, "a tensor of features", "save the tensor alone: torch.save(features, path)"
-        )
-        if not isinstance(content, Tensor) or content.layout != torch.strided:
-            raise FileFormatError(
-                path, "does not contain a tensor", "save the tensor alone: torch.save(features, path)"
-            )
-        if content.numel() * content.element_size() > path.stat().st_size:
-            raise FileFormatError(path, "claims more numbers than it contains", "save the tensor again")
-        features = content.detach().float().numpy()
-    else:
-        raise FileFormatError(
-            path, "is not an array of features", "use .npy or .pt with [Gaussians, dimensions]"
-        )
-    if features.dtype.kind != "f" or features.ndim not in (2, 3) or 0 in features.shape:
-        problem = f"is {features.dtype} {list(features.shape)}, expected floats [N, D] or [N, levels, D]"
-        raise FileFormatError(path, problem, "save one row per Gaussian")
-    return features
 
 
 def field_from_features(  # noqa: PLR0913  the public face: each keyword is one choice of the user

@@ -12,8 +12,8 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base import VERSION, InputError
-from scoup.io import read_manifest
-from scoup.models import check_model, is_table, load_table
+from scoup.io import RegionManifest
+from scoup.models import WordTable, check_model
 from scoup.scene import Regions
 from scoup.uplift.settings import BuildSettings
 from scoup.uplift.stored_sums import RegionSums
@@ -27,14 +27,14 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
     Raises:
         FileFormatError, InputError: what is named is neither, or a table of vectors of another size.
     """
-    manifest = read_manifest(features)
+    manifest = RegionManifest.read(features)
     made_by = manifest.embedding_model if manifest else ""
     if named is None:
         return made_by, None
-    if not is_table(named):
+    if not WordTable.is_meant(named):
         check_model(named)
         return named, None
-    table = load_table(named)
+    table = WordTable.load(named)
     dim = table.vectors.shape[1]
     wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
     if dim != wanted:
@@ -72,7 +72,7 @@ class FieldSources:
 
 def recorded_model(embedding_model: str, words: str | Path | None) -> str:
     """Return the embedding model for a field to record: the one given, or the one that its word table names."""
-    return embedding_model if embedding_model or words is None else load_table(words).model
+    return embedding_model if embedding_model or words is None else WordTable.load(words).model
 
 
 def build_record(

@@ -18,8 +18,8 @@ from scoup.base import (
     check_arguments,
     listed,
     no_progress,
-    none_of,
     release_memory,
+    share_of,
     worked_ahead,
 )
 from scoup.raster import CombinedLabels, ViewSums
@@ -202,7 +202,7 @@ def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
     chosen = [camera for camera in cameras if camera.name in regions]
     if not chosen:
         raise InputError(
-            f"{none_of(len(cameras), 'camera')} has regions; views with regions: "
+            f"{share_of(0, len(cameras), 'camera')} has regions; views with regions: "
             f"{listed(regions.view_names, 5) or 'none'}; check that names agree"
         )
     return chosen

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import (
-    WAIT,
     FileFormatError,
     InputError,
     MissingFileError,
@@ -228,7 +227,7 @@ class RegionSums:
         if not self.bytes:
             self._make_folder(self.path)
         file = self.path / view_file(view_name)
-        write_arrays(file, header, view.arrays(), overwrite=True, wait=WAIT)
+        write_arrays(file, header, view.arrays(), overwrite=True, wait=True)
         self._unflushed.append(file)
         self._load(file, written=True)
 
@@ -281,7 +280,7 @@ class RegionSums:
             arrays["means"] = self.means.contiguous().numpy()
         try:
             path.mkdir(parents=True, exist_ok=True)
-            self.bytes = write_arrays(scene, header, arrays, overwrite=False, wait=WAIT)
+            self.bytes = write_arrays(scene, header, arrays, overwrite=False, wait=True)
             self._unflushed.append(scene)
         except OutputExistsError:
             stored = read_arrays(scene)

@@ -15,9 +15,7 @@ from scoup.base import (
     Progress,
     atomic_path,
     check_output,
-    check_outputs,
     no_progress,
-    remove,
     reported,
     staged,
 )
@@ -65,7 +63,7 @@ def export_page(
     out = Path(out)
     part_files = [f"part_{number}.js" for number in range(viewed.n_parts)]
     names = (*FOLDER_FILES, *part_files)
-    check_outputs(out, names, overwrite) if split else check_output(out, overwrite)
+    check_output(*(out / name for name in names) if split else (out,), overwrite=overwrite)
     files, settings = page_files(), viewed.settings("exported")
     words, count = _words(viewed, progress)
     first = viewed.scene(effort=9, exported=True)
@@ -87,7 +85,8 @@ def export_page(
     if split:
         tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
         html = files.in_one(settings, f"<script>window.scoupData = {{parts: []}};</script>\n{tags}")
-        with staged(out, names, overwrite) as hidden:
+        old = [part for part in out.glob("part_[0-9]*.js") if overwrite and part.name not in names]
+        with staged(out, names, overwrite, old) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
             scripts = {f"{name}.js": _assignment(f"window.scoupData.{name}", data[name]) for name in data}
             for name, script in scripts.items():
@@ -95,9 +94,6 @@ def export_page(
             for number, name in enumerate(part_files):  # one after another, as the page loads them
                 script = _assignment(f"window.scoupData.parts[{number}]", encoded_part(number))
                 (hidden / name).write_text(script, encoding="utf-8")
-        for other in out.glob("part_[0-9]*.js") if overwrite else ():
-            if other.name not in names:
-                remove(other)
         size = sum((out / name).stat().st_size for name in names)
     else:
         whole = {**data, "parts": [encoded_part(number) for number in range(viewed.n_parts)]}

@@ -252,13 +252,11 @@ def _bounded(text: str) -> str:
 
 def _numbered(picture: Picture, mask: np.ndarray, text: str, color: tuple[int, int, int]) -> Picture:
     """Write a number in the middle of a mask [H, W]."""
-    from PIL import Image, ImageDraw
-
-    from scoup.pictures import font
+    from PIL import Image, ImageDraw, ImageFont
 
     rows, columns = np.nonzero(mask)
     image = Image.fromarray(picture)
-    draw, face = ImageDraw.Draw(image), font(max(12, math.ceil(picture.shape[1] / 50)))
+    draw, face = ImageDraw.Draw(image), ImageFont.load_default(max(12, math.ceil(picture.shape[1] / 50)))
     middle = (float(np.median(columns)), float(np.median(rows)))
     draw.text(
         middle,

@@ -21,7 +21,6 @@ from starlette.types import Message as AsgiMessage
 
 from scoup.base import ScoupError, UnknownNameError
 from scoup.field import Cache
-from scoup.io import write_ply_table
 from scoup.view.connections import PART
 from scoup.view.export import jpeg
 from scoup.view.guard import HEADERS, MOST_BYTES, Guard
@@ -153,9 +152,9 @@ class _Answers:
 
         def write() -> None:
             if things:
-                write_ply_table(self.viewed.things_selection(things, rest), path)
+                self.viewed.things_selection(things, rest).write(path)
             else:
-                write_ply_table(self.viewed.selection(texts, rest=rest, **rules), path)
+                self.viewed.selection(texts, rest=rest, **rules).write(path)
 
         try:
             await self.work.run(write)

@@ -14,7 +14,7 @@ import torch
 
 from scoup.base import InputError, ScoupError
 from scoup.io import PlyTable
-from scoup.models import is_table
+from scoup.models import WordTable
 from scoup.pictures import Picture, as_picture
 from scoup.query import Answer, FieldView, LanguageField, Question, SplatTable, named_things
 from scoup.scene import Camera
@@ -280,4 +280,4 @@ class ViewedField:
 
 def _is_file(name: str) -> bool:
     """Return whether a name is that of a file, not the id of a model."""
-    return is_table(name) or Path(name).is_absolute() or name.endswith(".scoup")
+    return WordTable.is_meant(name) or Path(name).is_absolute() or name.endswith(".scoup")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import FileFormatError, existing_file, listed
-from scoup.io import PlyTable, read_ply_table, write_ply_table
+from scoup.io import PlyTable
 
 _MAX_LABEL = 1 << 31
 
@@ -36,7 +36,7 @@ class LabelledPoints:
 def read_labelled_ply(path: str | Path) -> LabelledPoints:
     """Return the vertices of a PLY with a ``label``, such as ScanNet's ``<scene>_vh_clean_2.labels.ply``."""
     path = existing_file(path, "a PLY file of labelled points")
-    table = read_ply_table(path)
+    table = PlyTable.read(path)
     missing = [name for name in ("x", "y", "z", "label") if name not in table.names]
     if missing:
         raise FileFormatError(
@@ -59,7 +59,7 @@ def write_labelled_ply(points: LabelledPoints, path: str | Path) -> None:
     for name, _ in colors:
         rows[name] = 255 if name == "alpha" else 128
     rows["label"] = points.labels.numpy()
-    write_ply_table(PlyTable(Path("<memory>"), rows), path)
+    PlyTable(Path("<memory>"), rows).write(path)
 
 
 def _finite(path: Path, positions: np.ndarray) -> np.ndarray:

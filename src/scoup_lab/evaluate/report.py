@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base import atomic_file, check_output, check_outputs, staged
+from scoup.base import atomic_file, check_output, staged
 from scoup_lab.bench.report import record_text
 from scoup_lab.evaluate.tables import Table
 
@@ -17,8 +17,7 @@ SUFFIXES = (".md", ".json", ".tex")
 
 def refuse_existing(folder: Path, stem: str, overwrite: bool) -> None:
     """Refuse a report that is there already, before any work."""
-    for suffix in SUFFIXES:
-        check_output(folder / f"{stem}{suffix}", overwrite)
+    check_output(*(folder / f"{stem}{suffix}" for suffix in SUFFIXES), overwrite=overwrite)
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Report:
             ".tex": "\n".join(table.latex() for table in self.tables),
         }
         contents = {f"{self.stem}{suffix}": text.encode() for suffix, text in texts.items()}
-        check_outputs(folder, list(contents), overwrite)
+        check_output(*(folder / name for name in contents), overwrite=overwrite)
         with staged(folder, list(contents), overwrite=True) as hidden:
             for name, content in contents.items():
                 with atomic_file(hidden / name) as stream:

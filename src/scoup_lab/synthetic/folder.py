@@ -10,7 +10,7 @@ import numpy as np
 
 from scoup.base import Progress, no_progress, staged, write_text
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap, write_transforms
-from scoup.models import save_table
+from scoup.models import WordTable
 from scoup.raster import render_colors
 from scoup.scene import SH_C0, Camera
 from scoup_lab.data.labels import LabelledFrame
@@ -108,4 +108,4 @@ def write_scene(scene: DemoScene, folder: Path) -> None:
     positions = scene.gaussians.means[points].double().numpy()
     write_colmap(scene.building, folder / "sparse" / "0", (positions, colors.astype(np.uint8)))
     save_regions(scene.regions, folder / "language_features")
-    save_table(folder / "text.npz", scene.words.texts, scene.words.vectors, model=EMBEDDING_MODEL)
+    WordTable.save(folder / "text.npz", scene.words.texts, scene.words.vectors, model=EMBEDDING_MODEL)

@@ -17,7 +17,7 @@ from scoup.base import (
     ScoupWarning,
     check_arguments,
     listed,
-    none_of,
+    share_of,
 )
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.manifest import RegionManifest
@@ -113,7 +113,7 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     expected = listed([" and ".join(stem + ending for ending in store.endings) for stem in stems])
     there = [stem + store.endings[0] for stem in store.all_stems()]
     actual = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
-    lack = f"has regions of {none_of(len(cameras), 'camera')}"
+    lack = f"has regions of {share_of(0, len(cameras), 'camera')}"
     if len(cameras) == 1:
         lack = f"has no regions of {cameras[0].name}"
     return MissingFileError(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scoup.base import WAIT, InputError, OutputExistsError, check_format_version, write_text
+from scoup.base import InputError, OutputExistsError, check_format_version, write_text
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"
@@ -35,6 +35,25 @@ class RegionManifest:
             raise InputError(f"embeddings must have 16 or 32 bits, got {bits}")
         return cls(embedding_model, settings | {"bits": bits})
 
+    @classmethod
+    def read(cls, folder: Path) -> RegionManifest | None:
+        """Return the manifest of a folder of region features; None where there is none."""
+        path = folder / MANIFEST
+        if not path.is_file():
+            return None
+        remedy = "extract the features again into another folder"
+        record = read_json(path, "the manifest of a folder of region features", remedy)
+        record.get("schema").text((SCHEMA,))
+        check_format_version(path, record.get("version").value, VERSION)
+        record.get("layout").text((LAYOUT,))
+        settings = record.get("settings").object()
+        model = record.get("embedding_model")
+        if model.value != "":  # not known
+            model.text()
+        views = record.get("views")
+        names = () if views.value is None else tuple(name.text() for name in views.items())
+        return cls(model.value, settings, names)
+
     @property
     def bits(self) -> int:
         """Return the bits of an embedding number."""
@@ -60,25 +79,6 @@ class RegionManifest:
         ]
 
 
-def read_manifest(folder: Path) -> RegionManifest | None:
-    """Return the manifest of a folder of region features; None where there is none."""
-    path = folder / MANIFEST
-    if not path.is_file():
-        return None
-    remedy = "extract the features again into another folder"
-    record = read_json(path, "the manifest of a folder of region features", remedy)
-    record.get("schema").text((SCHEMA,))
-    check_format_version(path, record.get("version").value, VERSION)
-    record.get("layout").text((LAYOUT,))
-    settings = record.get("settings").object()
-    model = record.get("embedding_model")
-    if model.value != "":  # not known
-        model.text()
-    views = record.get("views")
-    names = () if views.value is None else tuple(name.text() for name in views.items())
-    return RegionManifest(model.value, settings, names)
-
-
 def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:
     """Write a folder's manifest atomically. Several processes may do so at once if they agree."""
     record = {
@@ -91,9 +91,9 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
     }
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     try:
-        write_text(folder / MANIFEST, text, overwrite, WAIT)
+        write_text(folder / MANIFEST, text, overwrite, wait=True)
     except OutputExistsError:
-        there = read_manifest(folder)
+        there = RegionManifest.read(folder)
         if there is None or there != manifest:
             raise InputError(
                 f"{folder / MANIFEST}: another process has written another one meanwhile"

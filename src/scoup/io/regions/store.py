@@ -17,7 +17,7 @@ from scoup.io.reading import existing_folder
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
 from scoup.io.regions.langsplat import LangSplatView
-from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
 from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
 
 Layout = Literal["compact", "langsplat"]
@@ -38,7 +38,7 @@ class RegionStore:
         """Return the store in a folder of region features, or in a scene folder with ``language_features`` in it."""
         path = existing_folder(folder, "a folder of region features", "make them first, or check the path")
         path = region_folder(path)
-        manifest = read_manifest(path)
+        manifest = RegionManifest.read(path)
         if manifest is not None:
             return cls(path, manifest)
         others = view_stems(path, langsplat.ENDINGS[0])
@@ -52,7 +52,7 @@ class RegionStore:
         manifest is continued. With ``overwrite`` another manifest may be there, which ``begin`` replaces."""
         if folder.is_file():
             raise InputError(f"{folder}: is a file; use the name of a folder")
-        there = read_manifest(folder) if folder.is_dir() else None
+        there = RegionManifest.read(folder) if folder.is_dir() else None
         if there is None:
             endings = [layout.ENDINGS[0] for layout in _LAYOUTS.values()]
             foreign = [stem + ending for ending in endings for stem in view_stems(folder, ending)]
@@ -76,7 +76,7 @@ class RegionStore:
         Args:
             overwrite: in place of another one; views made under that one no longer count.
         """
-        there, manifest = read_manifest(self.folder), self.manifest
+        there, manifest = RegionManifest.read(self.folder), self.manifest
         if manifest is not None and (there is None or there != manifest or there.views != manifest.views):
             write_manifest(self.folder, manifest, overwrite or there == manifest)
 
@@ -163,7 +163,7 @@ class RegionStore:
         """Check that these views may be written."""
         for stem in stems:
             for path in self.files(stem):
-                check_output(path, overwrite)
+                check_output(path, overwrite=overwrite)
 
     def write(self, regions: ViewRegions, stem: str | None = None, overwrite: bool = False) -> int:
         """Write a view; returns the bytes of its files.
@@ -191,7 +191,7 @@ def staged_store(
     """Yield a store whose views, with these stems, appear in ``folder`` together once all are written."""
     store = RegionStore.create(folder, manifest, overwrite)
     manifest_file = [MANIFEST]
-    if read_manifest(folder) == manifest:
+    if RegionManifest.read(folder) == manifest:
         store.check_free(stems, overwrite)
         manifest_file = []
     with staged(folder, manifest_file, overwrite) as hidden:

@@ -85,10 +85,10 @@ def format_of(path: str | Path) -> SplatFormat | None:
     return max(endings, key=lambda entry: entry[0])[1] if endings else None
 
 
-def is_splat_name(path: str | Path) -> bool:
-    """Return whether a file has the name of a splat that is read."""
+def is_splat_name(path: str | Path, written: bool = False) -> bool:
+    """Return whether a file has the name of a splat that is read, or of one that is ``written``."""
     kind = format_of(path)
-    return kind is not None and kind.read is not None
+    return kind is not None and (kind.write if written else kind.read) is not None
 
 
 def written_format(path: str | Path, also: str = "") -> SplatFormat:

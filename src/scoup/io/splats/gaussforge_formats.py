@@ -20,7 +20,7 @@ from torch import Tensor
 
 from scoup.base import FileFormatError, ScoupError, ScoupWarning, atomic_file, existing_file
 from scoup.io.reading import read_json
-from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
+from scoup.io.splats.ply import PlyTable, write_ply
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Gaussians
 
@@ -86,7 +86,7 @@ def _converted(path: Path, source: Path, kind: str) -> Gaussians:
         if not _convert(source, kind, made, "ply"):
             raise FileFormatError(path, "cannot be read by gaussforge", _WHAT_IT_IS)
         try:
-            return gaussians_from_table(read_ply_table(made))[0]
+            return PlyTable.read(made).gaussians()[0]
         except FileFormatError as error:
             raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
 

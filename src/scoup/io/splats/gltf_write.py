@@ -6,7 +6,6 @@ from __future__ import annotations
 import base64
 import json
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,21 +38,12 @@ _VERTICES = 34962  # ARRAY_BUFFER
 _LARGEST_GLB = 2**32 - 1  # its lengths are 32-bit
 
 
-@dataclass(frozen=True, eq=False)
-class GaussianFeatures:
-    """The class of every Gaussian, as glTF viewers find it; written, and not read."""
-
-    ids: Tensor
-    """[N] integers on the CPU, the position of a name in ``names``; -1 for none of them."""
-    names: tuple[str, ...]
-    """C names of classes, at least one; none is empty."""
-
-
 def write_gltf(
     gaussians: Gaussians,
     path: str | Path,
     overwrite: bool = False,
-    features: GaussianFeatures | None = None,
+    ids: Tensor | None = None,
+    names: tuple[str, ...] = (),
 ) -> None:
     """Write a .glb file, or a .gltf file with its buffer inside.
 
@@ -63,7 +53,9 @@ def write_gltf(
 
     Args:
         gaussians: at least one; rows that are not finite are refused.
-        features: the class of each, for viewers that style by class.
+        ids: [N] integers on the CPU, the class of each, for viewers that style by class: the position of a name in
+            ``names``; -1 for none of them.
+        names: C names of classes, at least one; none is empty.
 
     Warns:
         ScoupWarning: coefficients were left out.
@@ -78,8 +70,8 @@ def write_gltf(
         arrays["sh"] = arrays["sh"][:, : (SH_DEGREE + 1) ** 2]
     builder = _Builder()
     root = _root(builder, {name: array.astype(np.float32) for name, array in arrays.items()})
-    if features is not None:
-        _add_features(builder, root, features.ids.numpy(), features.names)
+    if ids is not None:
+        _add_features(builder, root, ids.numpy(), names)
     parts = builder.gltf(root) if path.suffix.lower() == ".gltf" else builder.glb(root)
     with atomic_file(path, overwrite) as stream:
         stream.writelines(parts)

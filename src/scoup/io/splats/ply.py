@@ -57,6 +57,32 @@ class PlyTable:
     comments: tuple[str, ...] = ()
     """Comment lines of the header, without the keyword."""
 
+    @classmethod
+    def read(cls, path: str | Path) -> PlyTable:
+        """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them.
+
+        A file longer than its header says is read as far as the header says, with a ScoupWarning.
+        """
+        header = read_header(path)
+        return cls(header.path, read_rows(header), header.comments)
+
+    @classmethod
+    def of(cls, gaussians: Gaussians) -> PlyTable:
+        """Return the Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
+        values = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
+        rest = 3 * (values["sh"].shape[1] - 1)
+        higher = (f"f_rest_{number}" for number in range(rest))
+        names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *higher, "opacity", *_SCALE, *_ROTATION)
+        rows = np.zeros(len(gaussians), dtype=[(name, "<f4") for name in names])
+        every = rows.view("<f4").reshape(len(gaussians), len(names))
+        every[:, 0:3] = values["means"]
+        every[:, 6:9] = values["sh"][:, 0]
+        every[:, 9 : 9 + rest] = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
+        every[:, -8] = logits_from_opacities(values["opacities"])
+        every[:, -7:-4] = logs_from_scales(values["scales"])
+        every[:, -4:] = values["quats"]
+        return cls(Path("<memory>"), rows, (MIP,) if gaussians.antialiased else ())
+
     def __len__(self) -> int:
         return len(self.rows)
 
@@ -82,34 +108,23 @@ class PlyTable:
         with np.errstate(all="ignore"):  # a file may contain any values
             return structured_to_unstructured(self.rows[list(names)], copy=False).astype(dtype)
 
+    def gaussians(self) -> tuple[Gaussians, np.ndarray]:
+        """Return activated Gaussians of the table, and a boolean [N] saying which rows they are.
 
-def read_ply_table(path: str | Path) -> PlyTable:
-    """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them.
+        Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
+        are not finite (a zero quaternion is one) are dropped.
 
-    A file longer than its header says is read as far as the header says, with a ScoupWarning.
-    """
-    header = read_header(path)
-    return PlyTable(header.path, read_rows(header), header.comments)
+        Warns:
+            ScoupWarning: some rows were dropped.
+        """
+        return keep_finite(**_activated(self), source=str(self.path))
 
-
-def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write a table as binary PLY, its rows byte for byte."""
-    with atomic_file(path, overwrite) as stream:
-        stream.write(format_header(table.rows.dtype, len(table), table.comments))
-        for start in range(0, len(table), _CHUNK):
-            stream.write(table.rows[start : start + _CHUNK].tobytes())
-
-
-def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
-    """Return activated Gaussians of a table, and a boolean [N] saying which rows they are.
-
-    Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
-    are not finite (a zero quaternion is one) are dropped.
-
-    Warns:
-        ScoupWarning: some rows were dropped.
-    """
-    return keep_finite(**_activated(table), source=str(table.path))
+    def write(self, path: str | Path, overwrite: bool = False) -> None:
+        """Write the table as binary PLY, its rows byte for byte."""
+        with atomic_file(path, overwrite) as stream:
+            stream.write(format_header(self.rows.dtype, len(self), self.comments))
+            for start in range(0, len(self), _CHUNK):
+                stream.write(self.rows[start : start + _CHUNK].tobytes())
 
 
 def _activated(table: PlyTable) -> dict[str, np.ndarray]:
@@ -174,7 +189,7 @@ def read_ply(path: str | Path) -> Gaussians:
     elif header.count > MOST_ROWS_IN_MEMORY and header.encoding != "ascii":
         gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
     else:
-        gaussians = gaussians_from_table(PlyTable(header.path, read_rows(header)))[0]
+        gaussians = PlyTable(header.path, read_rows(header)).gaussians()[0]
     _warn_of_other_gaussians(header)
     said = any(_SAYS_MIP.search(comment) for comment in header.comments)
     return replace(gaussians, antialiased=said or _FILTER in (header.dtype.names or ()))
@@ -193,35 +208,18 @@ def _warn_of_other_gaussians(header: PlyHeader) -> None:
         )
 
 
-def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
-    """Return the Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
-    values = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
-    rest = 3 * (values["sh"].shape[1] - 1)
-    higher = (f"f_rest_{number}" for number in range(rest))
-    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *higher, "opacity", *_SCALE, *_ROTATION)
-    rows = np.zeros(len(gaussians), dtype=[(name, "<f4") for name in names])
-    every = rows.view("<f4").reshape(len(gaussians), len(names))
-    every[:, 0:3] = values["means"]
-    every[:, 6:9] = values["sh"][:, 0]
-    every[:, 9 : 9 + rest] = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
-    every[:, -8] = logits_from_opacities(values["opacities"])
-    every[:, -7:-4] = logs_from_scales(values["scales"])
-    every[:, -4:] = values["quats"]
-    return PlyTable(Path("<memory>"), rows, (MIP,) if gaussians.antialiased else ())
-
-
 def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
     """Write the Inria layout.
 
     Gaussians that were read from a PLY file or a checkpoint read back bit by bit. Others are rounded to the
     float32 logarithm and logit the layout holds (``as_stored`` gives them as they will be read).
     """
-    write_ply_table(table_from_gaussians(gaussians), path, overwrite)
+    PlyTable.of(gaussians).write(path, overwrite)
 
 
 def as_stored(gaussians: Gaussians) -> Gaussians:
     """Return the Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
-    stored = gaussians_from_table(table_from_gaussians(gaussians))[0].to(gaussians.device)
+    stored = PlyTable.of(gaussians).gaussians()[0].to(gaussians.device)
     return replace(stored, antialiased=gaussians.antialiased)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from scoup.base import Entry
-from scoup.io.splats.axes import Axis
+from scoup.io.splats.axes import Axis, turned, turned_direction
 from scoup.scene import Gaussians
 
 Preset = Literal["inria", "gsplat"]
@@ -64,3 +64,11 @@ class SplatFormat(Entry):
     """True if its files record training with antialiasing."""
     in_scenes: bool = True
     """True if a file of this format in the folder of a scene is its splat, and not a mesh."""
+
+    def turned(self, gaussians: Gaussians) -> Gaussians:
+        """Return Gaussians turned from the axes of 3DGS to those of this format, or back, on the CPU."""
+        return gaussians if self.axis is None else turned(gaussians, self.axis)
+
+    def turned_direction(self, direction: Sequence[float]) -> tuple[float, ...]:
+        """Return a direction turned as Gaussians are."""
+        return tuple(direction) if self.axis is None else turned_direction(direction, self.axis)

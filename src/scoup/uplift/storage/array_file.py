@@ -74,7 +74,7 @@ def write_arrays(
     header: Mapping[str, Any],
     arrays: Mapping[str, NDArray[Any]],
     overwrite: bool,
-    wait: float = 0.0,
+    wait: bool = False,
 ) -> int:
     """Write a file whole, without flushing it; return its size. Arguments and errors as of ``atomic_file``."""
     # In the order of safetensors: then each begins at a multiple of its item size.

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base import refusals, require_core
+from scoup.base import required_core
 from scoup.scene import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
@@ -36,8 +36,8 @@ class Vote:
                 (sums.buckets, sums.starts, sums.places, sums.combinations, sums.weights, view.regions)
             )
         tables = [tuple(_array(tensor) for tensor in (level.indices, level.weights)) for level in codes]
-        with refusals():
-            self._vote = require_core().Vote(n_gaussians, _array(grams), arrays, tables)
+        with required_core() as core:
+            self._vote = core.Vote(n_gaussians, _array(grams), arrays, tables)
 
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
@@ -50,7 +50,7 @@ class Vote:
             return indices, weights
         known = None if earlier is None else _arrays(earlier)
         threads = torch.get_num_threads()
-        with refusals():
+        with required_core():
             self._vote.round(
                 indices.numpy(), weights.numpy(), known, unit_norm, buckets.start, buckets.stop, threads
             )
@@ -58,7 +58,7 @@ class Vote:
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         threads = torch.get_num_threads()
-        with refusals():
+        with required_core():
             deviations = self._vote.deviations(_arrays(earlier), buckets.start, buckets.stop, threads)
         return [torch.from_numpy(of_level) for of_level in deviations]
 
