@@ -12,7 +12,7 @@ from messages import refuses
 from query.conftest import Queried
 from scoup import raster
 from scoup.pictures import as_picture, heat_map, heat_overlay
-from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
+from scoup.query.drawings import code_drawing, color_drawing, relevancy_drawing
 from scoup.query.field_view import FieldView
 
 

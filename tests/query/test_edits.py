@@ -14,7 +14,7 @@ from query.conftest import Queried
 from scoup.io import PlyTable, save_gaussians
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
-from scoup.query.drawing import moving_cameras
+from scoup.query.drawings import moving_cameras
 from scoup.query.edits import SplatTable, best_camera, edit_picture, edited
 from scoup.query.expression import parse_expression
 from scoup.query.question import Question

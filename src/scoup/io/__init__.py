@@ -9,7 +9,7 @@ from scoup.io.camera_sources import find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.coco import CocoAnnotations
-from scoup.io.describe import describe
+from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
 from scoup.io.gaussian_features import read_features
 from scoup.io.image_folder import DYNAMIC_MASK

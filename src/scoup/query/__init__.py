@@ -12,7 +12,7 @@ from scoup.query.catalog import related_objects
 from scoup.query.catalog_writing import draw_things, save_catalog
 from scoup.query.compare_files import save_comparison
 from scoup.query.comparison import compare
-from scoup.query.drawing import drawing, heat_frames, placed_atoms
+from scoup.query.drawings import drawing, heat_frames, placed_atoms
 from scoup.query.edits import SplatTable, edit_picture, edited
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView

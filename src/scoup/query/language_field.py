@@ -15,7 +15,7 @@ from scoup.models import COLORS, NO_WORDS_FOR_COLORS, Encoder, TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.catalog import Catalog, make_catalog
-from scoup.query.drawing import field_card
+from scoup.query.drawings import field_card
 from scoup.query.expression import Expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame, scene_frame

@@ -192,7 +192,7 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 def _code_colors(field: Field, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
     """Return a colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning,
-    like colour, as in ``scoup.query.drawing.code_drawing``."""
+    like colour, as in ``scoup.query.drawings.code_drawing``."""
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))
     colors, offsets = [], []
     for level, atoms in enumerate(field.codebook.float().cpu()):
