@@ -12,9 +12,9 @@ from PIL import Image
 
 from scoup.archive.archive import Archive
 from scoup.base import InputError
+from scoup.io import ANY_PIXELS
 from scoup.models import LONGEST
 
-_MOST_PIXELS = 1 << 25  # of an image in a question
 MOST_FOUND = 200
 """Things, or with a least number of things scans, in one reply."""
 
@@ -62,7 +62,7 @@ def _decoded(picture: str) -> Image.Image:
     try:
         data = io.BytesIO(base64.b64decode(picture, validate=True))
         with Image.open(data, formats=("JPEG", "PNG")) as image:
-            if image.width * image.height > _MOST_PIXELS:
+            if image.width * image.height > ANY_PIXELS:
                 raise ValueError("it claims more pixels than so few bytes can contain")
             image.load()
             return image

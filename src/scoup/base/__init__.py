@@ -17,6 +17,7 @@ from scoup.base.errors import (
     WriteError,
     check_format_version,
     looked_up,
+    quoted,
     refused_read,
 )
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
@@ -91,6 +92,7 @@ __all__ = [
     "native_core",
     "no_progress",
     "printable",
+    "quoted",
     "refuse_pointer",
     "refused_read",
     "release_memory",

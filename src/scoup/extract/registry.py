@@ -17,8 +17,11 @@ from scoup.io import RegionManifest
 from scoup.models import (
     ANY_OPEN_CLIP,
     DENSE_PREFIX,
+    GROUP,
     HUB,
+    MOBILE_SAM,
     MOBILE_SAM_FILE,
+    OPEN_CLIP,
     HubEntry,
     ModelEntry,
     open_image_model,
@@ -43,7 +46,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        "mobile-sam", _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
+        MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE,
         help="MobileSAM: the default without a GPU (8.5 s without AVX-512 BF16)", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
@@ -57,7 +60,7 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     felzenszwalb.ENTRY,
 ))  # fmt: skip
-EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
+EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ModelEntry(
         _CLIP, open_image_model, size="598 MB", seconds=47.6, file=(_CLIP, "model.safetensors"),
         help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",
@@ -77,11 +80,11 @@ EMBEDDERS = Registry("embedder", "scoup.embedders", ModelEntry, (
         help="the same models in one pass per photograph instead of one per region",
     ),
     replace(
-        ANY_OPEN_CLIP, name="open_clip:MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
+        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
         help="MobileCLIP2 S2: small and fast; S0, B, S3, S4, too",
     ),
     replace(
-        ANY_OPEN_CLIP, name="open_clip:PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
+        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
         help="Perception Encoder B/16; PE-Core-L-14-336, PE-Core-bigG-14-448 are larger",
     ),
     ANY_OPEN_CLIP,

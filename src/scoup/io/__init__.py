@@ -13,7 +13,7 @@ from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
 from scoup.io.gaussian_features import read_features
 from scoup.io.image_folder import DYNAMIC_MASK
-from scoup.io.images import load_image, open_image, read_mask, rgb_image, save_label_png, save_png
+from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_label_png, save_png
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.io.regions.convert import convert_regions
@@ -41,6 +41,7 @@ from scoup.io.splats.usd import UsdThing, write_usd
 from scoup.io.word_list import read_words
 
 __all__ = [
+    "ANY_PIXELS",
     "DYNAMIC_MASK",
     "MAX_IMAGE_SIDE",
     "CocoAnnotations",

@@ -8,10 +8,10 @@ from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
 from scoup.models.dense import DENSE_PREFIX, open_dense_model
 from scoup.models.entry import HubEntry, ModelEntry
-from scoup.models.hub import ModelIdentity
+from scoup.models.hub import OPEN_CLIP, ModelIdentity
 from scoup.models.image import open_image_model
 from scoup.models.mobile_sam import MOBILE_SAM_FILE
-from scoup.models.sam import EncodedImage, PointModel, open_sam
+from scoup.models.sam import MOBILE_SAM, EncodedImage, PointModel, open_sam
 from scoup.models.text import (
     ARTICLES,
     COLORS,
@@ -21,7 +21,7 @@ from scoup.models.text import (
     TextEncoder,
     check_model,
 )
-from scoup.models.text_models import ANY_OPEN_CLIP, HUB
+from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 
@@ -33,11 +33,14 @@ __all__ = [
     "CONCEPTS",
     "DENSE_PREFIX",
     "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
+    "GROUP",
     "HUB",
     "LEAST_WORDS",
     "LONGEST",
+    "MOBILE_SAM",
     "MOBILE_SAM_FILE",
     "NO_WORDS_FOR_COLORS",
+    "OPEN_CLIP",
     "ConceptModel",
     "EncodedImage",
     "Encoder",

@@ -21,6 +21,7 @@ from scoup.base import (
     check_arguments,
     counted,
     listed,
+    quoted,
 )
 from scoup.models import words
 from scoup.models.entry import Encode
@@ -190,8 +191,9 @@ class TextEncoder:
             if not isinstance(phrase, str) or not phrase.strip():
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
             if len(phrase) > LONGEST:
-                named = f"{phrase[:80]!r}... ({len(phrase):,} characters)"
-                raise InputError(f"{named}: is too long for a phrase; pass at most {LONGEST:,} characters")
+                raise InputError(
+                    f"{quoted(phrase)}: is too long for a phrase; pass at most {LONGEST:,} characters"
+                )
         if not phrases:
             return torch.zeros(0, self.dim)
         if self._model is not None and len(phrases) > _BATCH and tuple(phrases) == words.EVERYDAY_WORDS:
