@@ -19,6 +19,7 @@ from scoup.base.errors import (
     looked_up,
     quoted,
     refused_read,
+    remedy_of,
 )
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
@@ -96,6 +97,7 @@ __all__ = [
     "refuse_pointer",
     "refused_read",
     "release_memory",
+    "remedy_of",
     "reported",
     "required_core",
     "reserved_output",

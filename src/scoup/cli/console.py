@@ -22,6 +22,7 @@ from scoup.base import (
     WriteError,
     no_progress,
     printable,
+    remedy_of,
 )
 from scoup.cli.options import Common
 from scoup.cli.stop import exit_code
@@ -145,7 +146,7 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
             if error.errno == errno.ENOMEM:
                 return console.fail(_OUT_OF_MEMORY, 2)
             where = f"{error.filename}: " if error.filename else ""
-            remedy = WriteError.of(where, error).remedy or "remove the cause and try again"
+            remedy = remedy_of(error) or "remove the cause and try again"
             return console.fail(f"{where}the system refused ({error.strerror or error}); {remedy}", 2)
         except (RuntimeError, ImportError) as error:  # as torch reports it, and the loader of its libraries
             if not any(sign in str(error) for sign in _SIGNS_OF_MEMORY):
