@@ -1,4 +1,4 @@
-"""Tables of the documents, made from the records kept in docs/benchmarks.
+"""Tables and charts of the documents, made from the records kept in docs/benchmarks.
 
     python -m benchmarks.documents [--check]
 
@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 import tyro
@@ -26,6 +25,7 @@ from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
 from benchmarks.concepts import Concepts
+from benchmarks.documents_chart import bars
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
@@ -52,33 +52,28 @@ def record(name: str) -> dict[str, Any]:
 
 
 def readme() -> str:
-    """Return four ways of building on scenes with real models and on simulated ones; bold: the best of a column."""
-    real, simulated = record("real"), record("answers")["ways"]
-    simulated = {way: {key.removesuffix(", clean"): of[key] for key in of} for way, of in simulated.items()}
+    """Return the ways of building on scenes with real models, and the size of a field; bold: the best of a column."""
+    ways = record("real")["ways"]
     names = {
-        "default": "`scoup build`",
-        "votes": "the same without things",
-        "paper": "`scoup build --preset paper`",
-        "dense": "dense 512-d uplift",
+        "default": ("`scoup build`", 42),
+        "paper": ("`scoup build --preset paper`", 36),
+        "dense": ("dense 512-d uplift", 6144),
     }
     columns = {
-        title: {
-            way: mean(of["always"] for cell, of in real["scenes"][way].items() if cell.startswith(name))
-            for way in names
-        }
-        for name, title in REAL_COLUMNS.items()
-    } | {
-        title: {way: simulated[way][group]["always"] for way in names if way in simulated}
-        for group, title in README_COLUMNS.items()
+        title: {way: ways[way][group]["always"] for way in names} for group, title in README_COLUMNS.items()
     }
-    rows = []
-    for way, title in names.items():
-        cells = [
-            f"**{of[way]:.3f}**" if of.get(way) == max(of.values()) else f"{of[way]:.3f}" if way in of else ""
-            for of in columns.values()
+    rows = [
+        [
+            title,
+            *(
+                f"**{of[way]:.3f}**" if of[way] == max(of.values()) else f"{of[way]:.3f}"
+                for of in columns.values()
+            ),
+            f"{size:,}",
         ]
-        rows.append([title, *cells])
-    return markdown(["mIoU", *columns], rows)
+        for way, (title, size) in names.items()
+    ]
+    return markdown(["mIoU", *columns, "bytes per Gaussian"], rows)
 
 
 def single_steps() -> str:
@@ -96,18 +91,20 @@ def single_steps() -> str:
     return markdown(["step", "measured on", "time"], rows)
 
 
-REAL_COLUMNS = {
-    "desk": "**desk, all real**",
-    **{name: f"**{name}**" for name in ("table", "shelves", "hall", "yard")},
-}
 README_COLUMNS = {
-    "kitchen draws, desk's statistics": "simulated: kitchen, desk's statistics",
-    "kitchen draws, CLIP's statistics": "kitchen, CLIP's statistics",
-    "kitchen draws": "kitchen",
-    "procedural": "procedural",
+    "desk (real)": "desk: real photographs, trained splat",
+    "rendered photographs, real models": "mean of four rendered scenes",
 }
 
 
+def laptop_chart() -> str:
+    """Return the steps from photographs to the first answer as bars."""
+    steps = Laptop.steps(record("laptop"))
+    return bars("From 200 photographs to the first answer: seconds on two CPU cores", steps, "s")
+
+
+CHARTS: dict[str, Callable[[], str]] = {"times": laptop_chart}
+"""Name of the picture in docs/images, without its ending."""
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
@@ -197,6 +194,13 @@ def main(arguments: Arguments) -> list[Path]:
             print(path.relative_to(ROOT))
             if not arguments.check:
                 path.write_text(after, encoding="utf-8")
+    for name, chart in CHARTS.items():
+        path = ROOT / "docs" / "images" / f"{name}.svg"
+        if not path.is_file() or path.read_text(encoding="utf-8") != chart():
+            changed.append(path)
+            print(path.relative_to(ROOT))
+            if not arguments.check:
+                path.write_text(chart(), encoding="utf-8")
     return changed
 
 

@@ -77,12 +77,12 @@ def test_public_names_pages_and_pictures_have_their_places() -> None:
     assert missing == {"ScoupError", "ScoupWarning"}  # with all errors, by their module
     assert "scoup.base.errors" in named
     nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
-    made = {"verbs.md", *site_hooks.FROM_ROOT}
+    made = {"verbs.md", "pages.md", *site_hooks.FROM_ROOT} - {"index.md"}
     assert sorted(re.findall(r": ([\w/]+\.md)$", nav, re.MULTILINE)) == sorted(
         {path.name for path in DOCS.glob("*.md")} | made
     )
     table = (ROOT / "CONTRIBUTING.md").read_text().partition("### Pictures\n")[2]
-    pictures = re.findall(r"`([\w-]+\.(?:jpg|png))`", table)
+    pictures = re.findall(r"`([\w-]+\.(?:jpg|svg|webp))`", table)
     assert sorted(pictures) == sorted(path.name for path in (DOCS / "images").iterdir())
 
 
@@ -110,6 +110,9 @@ def test_the_repository_has_one_address_and_the_citation_this_version() -> None:
     assert {owner for path in places for owner in re.findall(address, path.read_text())} == {"scoup"}
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert str(citation["version"]) == VERSION
+    bundle = json.loads((ROOT / "tools" / "mcpb" / "manifest.json").read_text())
+    assert bundle["version"] == VERSION
+    assert f"scoup[mcp]=={VERSION}" in bundle["server"]["mcp_config"]["args"]
     assert "not the paper's authors" in citation["authors"][0]["name"]
 
 

@@ -14,8 +14,10 @@ sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
 import document_verbs
 
 ROOT = Path(__file__).resolve().parent.parent
-FROM_ROOT = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
+FROM_ROOT = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
 """Pages of the site that are files of the repository's first folder."""
+PAGES = "pages.md"
+"""Page of the site that has docs/index.md, whose place the README takes."""
 EXAMPLES = "Examples"
 """Entry of the navigation below which the examples are."""
 LINK = re.compile(r"(\]\()([^)#:\s]+)(#[^)\s]*)?(\))")
@@ -30,10 +32,12 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the verbs, the examples, and the files of the first folder."""
+    """Add the verbs, the examples, and the files of the first folder; the README is the front page."""
     from mkdocs.structure.files import File
 
+    files.remove(files.get_file_from_path("index.md"))
     pages = {"verbs.md": document_verbs.page(), **example_pages()}
+    pages[PAGES] = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     for page, source in FROM_ROOT.items():
         pages[page] = in_docs((ROOT / source).read_text(encoding="utf-8"))
     for page, text in pages.items():
@@ -64,9 +68,9 @@ def in_docs(text: str) -> str:
 
     def moved(found: re.Match[str]) -> str:
         path = found[2].removeprefix("docs/") if found[2].startswith("docs/") else f"../{found[2]}"
-        return f"{found[1]}{path}{found[3] or ''}{found[4]}"
+        return f"{found[1]}{PAGES if path == 'index.md' else path}{found[3] or ''}{found[4]}"
 
-    return LINK.sub(moved, text)
+    return LINK.sub(moved, text).replace('"docs/images/', '"images/')
 
 
 def outside(text: str, repository: str) -> str:

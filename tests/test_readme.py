@@ -1,0 +1,77 @@
+"""README and the first pages, as a new user reads them: commands run or are parsed, Python prints what they say."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from benchmarks.documents import ROOT
+
+import scoup
+from cli_support import run
+from scoup.cli.app import SCOUP
+from scoup.cli.parsing import parse
+from scoup_lab.evaluate import demonstration
+from scoup_lab.synthetic.art.table import TABLE
+from scoup_lab.synthetic.folder import write_scene
+from scoup_lab.synthetic.scene import make_demo_scene
+
+README = ROOT / "README.md"
+FIRST = (
+    README,
+    *(ROOT / "docs" / f"{name}.md" for name in ("index", "getting_started", "own_scene", "query")),
+)
+TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """The words behind `scoup` of every command in the blocks of a page."""
+    for block in re.findall(r"^```\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL):
+        for line in re.findall(r"^scoup (.*)$", block, re.MULTILINE):
+            yield shlex.split(line, comments=True)
+
+
+@pytest.mark.parametrize("page", FIRST, ids=lambda page: page.stem)
+def test_commands_are_parsed_and_pictures_are_there(page: Path) -> None:
+    for words in commands(page):
+        parse(words, SCOUP, "scoup")
+    pictures = re.findall(r'!\[[^\]]*\]\(([^)]+)\)|src(?:set)?="([^"]+)"', page.read_text())
+    for markdown, html in pictures:
+        picture = markdown or html
+        assert picture.startswith("https://") or (page.parent / picture).is_file(), picture
+
+
+def test_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a small scene of the demo; the viewer is started by the tests of servers."""
+    monkeypatch.chdir(tmp_path)
+    assert run("demo", "--out", ".", *TINY)[0] == 0
+    places = {"SCENE": "scene", "point_cloud.ply": "scene/point_cloud.ply"}
+    for words in commands(README):
+        if words[0] != "view":
+            of_demo = ["--model", "scene/text.npz"] if words[0] == "build" else []  # its embeddings are simulated
+            code, _, err = run(*(places.get(word, word) for word in words), *of_demo)
+            assert code == 0, (words, err)
+    assert {"scene.scoup", "blue.ply"} <= {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore:.*images was found")
+def test_python_of_the_readme_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the field of `scoup demo`, without its photographs and scores."""
+    scene = make_demo_scene(0, 160_000, 480, 360, 24, 6, TABLE)
+    (tmp_path / "demo").mkdir()
+    write_scene(scene, tmp_path / "demo" / "scene")
+    demonstration._built(tmp_path / "demo" / "scene", 0, lambda *_: None).save(
+        tmp_path / "demo" / "demo.scoup"
+    )
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    example = doctest.DocTestParser().get_doctest(block, {"scoup": scoup}, "README", str(README), 0)
+    said: list[str] = []
+    result = doctest.DocTestRunner().run(example, out=said.append)
+    assert result.failed == 0, "".join(said)
+    assert result.attempted >= 5
