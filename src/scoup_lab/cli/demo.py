@@ -14,15 +14,17 @@ if TYPE_CHECKING:
 
 
 FIELD, SHEET, SCORES, PAGE = "demo.scoup", "queries.png", "scores.json", "demo.html"
+ASKED = ("teapot", "mug left of the laptop", "elephant")
+"""A text that the scene answers, one with a relation, and one that is not there."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
     """Make a small scene, build its language field, query every object in it, and score the answers.
 
-    Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
-    geometry. Afterwards OUT contains the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of
-    queries, and the scores.
+    Needs no network, no GPU and no data. Regions and embeddings are simulated, so only the words of
+    OUT/scene/words.txt can be asked; the truth comes from the scene's geometry. Afterwards OUT contains the scene as
+    files (try `scoup build OUT/scene`), the field, a contact sheet of queries, and the scores.
     """
 
     out: Path = Path("demo")
@@ -48,12 +50,12 @@ class Demo:
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
 
-        no_page = _page_problem()
-        files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
         console.say(
-            f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
+            f"a simulated scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
             f"{self.width} x {self.height}"
         )
+        no_page = _page_problem()
+        files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
         size = self.n_gaussians, self.width, self.height, self.views
         with staged(self.out, files, self.common.overwrite) as hidden, console.progress() as progress:
             result = run_demo(hidden, 0, *size, progress=progress)
@@ -63,12 +65,7 @@ class Demo:
             if not no_page:
                 export_page(ViewedField(result.field), hidden / PAGE)  # with the words of its table
         _say_scores(console, result, record)
-        page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
-        console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
-        console.say(f"field:    {self.out / FIELD}\npage:     {page}")
-        thing = result.scene.layout.favourites[0]
-        console.say(f"query it: {command('query', self.out / FIELD, thing, '--camera', 'all')}")
-        console.say(f"look at it, and type a word: {command('view', self.out / FIELD)}")
+        _say_story(console, result, self.out, no_page)
         console.result(record)
 
 
@@ -109,25 +106,30 @@ def _record(result: DemoResult, field: Path, out: Path) -> dict[str, Any]:
 
 
 def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) -> None:
-    """Print the scores of each name and their means, the size of the field and the seconds of each stage."""
+    """Print the seconds of each stage, the size of the field and the mean score."""
     from scoup.field import part_sizes
-    from scoup_lab.bench import markdown
-    from scoup_lab.evaluate.demonstration import rows_by_name
 
-    rows = []
-    for row in rows_by_name(result):
-        levels = sorted(row.levels.items(), key=lambda item: -item[1])
-        chosen = " ".join(f"{level}{count}" for level, count in levels)
-        rows.append([row.name, str(row.views), f"{row.iou:.2f}", f"{row.accuracy:.0%}", chosen])
-    heads = ["query", "views", "IoU", "hit", "levels"]
-    console.say(f"Every name that the held-out views show\n{markdown(heads, rows)}\n")
-    low, high = record["miou_interval"]
-    console.say(
-        f"mIoU {record['miou']:.3f} (95 % interval over names {low:.3f} to {high:.3f}), "
-        f"localisation {record['accuracy']:.1%}, over all (view, name) pairs"
-    )
-    console.say(
-        f"the field: {record['field_bytes'] / 1e6:.2f} MB ({part_sizes(Path(record['out']) / FIELD)})"
-    )
     for stage, value in result.seconds.items():
         console.say(f"  {value:6.1f} s  {stage}")
+    out = Path(record["out"])
+    size = f"{record['field_bytes'] / 1e6:.2f} MB ({part_sizes(out / FIELD)})"
+    low, high = record["miou_interval"]
+    console.say(f"the field: {size}")
+    console.say(
+        f"mIoU {record['miou']:.3f} (95 % interval over names {low:.3f} to {high:.3f}), localisation "
+        f"{record['accuracy']:.1%}, over all (view, name) pairs of held-out views; each name: {out / SCORES}"
+    )
+
+
+def _say_story(console: Console, result: DemoResult, out: Path, no_page: str) -> None:
+    """Print three answers, where the pictures are, the words that can be asked, and the next step."""
+    console.say("\nthree questions to it:")
+    for text in ASKED:
+        console.say(f"  {text}: {result.field.location(text).describe()}")
+    page = no_page or f"{out / PAGE} (open it in a browser; it needs no server)"
+    console.say(f"\npictures: {out / SHEET}\npage:     {page}")
+    console.say(
+        f"words:    regions and embeddings are simulated, so it knows only those of {out / 'scene' / 'words.txt'}"
+    )
+    console.say(f"as files: {command('query', out / FIELD, *ASKED, '--camera', 'all')}")
+    console.say(f"next:     {command('view', out / FIELD)}, then type a word")

@@ -12,13 +12,20 @@ from scoup.base import Progress, no_progress, staged, write_text
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap, write_transforms
 from scoup.models import WordTable
 from scoup.raster import render_colors
-from scoup.scene import SH_C0, Camera
+from scoup.scene import LEVELS, SH_C0, Camera
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.masks import mask_polygons
 from scoup_lab.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene
 
 SPARSE_POINTS = 4000
-FILES = ("README.txt", "point_cloud.ply", "text.npz", "sparse/0/cameras.bin", "held_out/transforms.json")
+FILES = (
+    "README.txt",
+    "point_cloud.ply",
+    "text.npz",
+    "words.txt",
+    "sparse/0/cameras.bin",
+    "held_out/transforms.json",
+)
 """Some of those that ``write_demo_scene`` writes: where one is there already, it is refused before any work."""
 
 NOTE = """A {title} made by a program (scoup demo). Nothing in it was photographed or trained.
@@ -28,6 +35,7 @@ images/              renders of them, in place of photographs
 sparse/0/            their cameras, as COLMAP writes them
 language_features/   simulated regions and embeddings
 text.npz             simulated text vectors: names [M], vectors [M, 512]
+words.txt            the names of what is in the scene: what can be asked
 held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
                      label/ with the truth as LERF-OVS label files
 
@@ -71,6 +79,8 @@ def _write_all(scene: DemoScene, folder: Path, progress: Progress) -> None:
         write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n")
     note = NOTE.format(title=scene.layout.title, name=scene.layout.favourites[0])
     write_text(folder / "README.txt", note)
+    names = dict.fromkeys(name for level in LEVELS for name in scene.parts.names(level))
+    write_text(folder / "words.txt", "".join(f"{name}\n" for name in names))
 
 
 def picture_of(scene: DemoScene, camera: Camera) -> np.ndarray:
