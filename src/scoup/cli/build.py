@@ -257,9 +257,10 @@ class Build:
 
 def _suggestion(field: Field, out: Path) -> str:
     """Return the next command for a field: a query only if the field names a text encoder."""
-    from scoup.models import COLORS
+    from scoup.models import words_problem
 
-    if field.info.words is None and field.embedding_model in ("", COLORS):
+    model = field.embedding_model
+    if field.info.words is None and (not model or words_problem(model)):
         return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"
     return f"ask it: {command('query', out, 'WORD')}, or {command('view', out)}"
 
