@@ -17,14 +17,11 @@ from scoup.base.errors import (
     WriteError,
     check_format_version,
     looked_up,
-    quoted,
-    refused_read,
-    remedy_of,
 )
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
-from scoup.base.native import native_core, release_memory, required_core
+from scoup.base.native import native_core, required_core
 from scoup.base.outputs import (
     atomic_file,
     atomic_path,
@@ -48,7 +45,6 @@ from scoup.base.texts import (
     slug,
     spread,
     unique_slugs,
-    verb,
 )
 from scoup.base.version import VERSION
 from scoup.base.work import Part, Progress, no_progress, reported, worked_ahead
@@ -93,11 +89,7 @@ __all__ = [
     "native_core",
     "no_progress",
     "printable",
-    "quoted",
     "refuse_pointer",
-    "refused_read",
-    "release_memory",
-    "remedy_of",
     "reported",
     "required_core",
     "reserved_output",
@@ -112,7 +104,6 @@ __all__ = [
     "staged",
     "temporary_folder",
     "unique_slugs",
-    "verb",
     "worked_ahead",
     "write_npz",
     "write_text",

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scoup.base.errors import MissingFileError, refused_read
+from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.base.outputs import atomic_file
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def file_sha256(path: str | Path) -> str:
             while block := stream.read(_BLOCK):
                 digest.update(block)
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     return digest.hexdigest()
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
 
 _MADE_BY = {
     "Gaussians": "scoup.load_gaussians(path)",
@@ -57,7 +57,7 @@ def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[Non
     except ScoupError:
         raise
     except FileNotFoundError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     except (
         SafetensorError,
         ValueError,

@@ -15,7 +15,6 @@ from scoup.base import (
     UnknownNameError,
     listed,
     share_of,
-    verb,
 )
 from scoup.cli.options import (
     Direction,
@@ -145,12 +144,12 @@ class CameraOptions:
         names = listed([camera.name for camera in blind])
         if blind and len(blind) == count:
             raise InputError(
-                f"{self.scene or path}: {verb(count, 'the camera sees', 'the cameras see')} nothing of the field "
+                f"{self.scene or path}: {'the camera sees' if count == 1 else 'the cameras see'} nothing of the field "
                 f"({names}); {_SAME_FRAME}"
             )
         if blind:
-            seen = f"{share_of(len(blind), count, 'camera')} {verb(len(blind), 'sees', 'see')} nothing of the field"
-            message = f"{seen} ({names}); {_SAME_FRAME}"
+            some, see = share_of(len(blind), count, "camera"), "sees" if len(blind) == 1 else "see"
+            message = f"{some} {see} nothing of the field ({names}); {_SAME_FRAME}"
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file, refused_read
+from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene import Camera
@@ -43,7 +43,7 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
             width, height = image.size
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         if isinstance(error, OSError) and error.errno is not None:
-            raise refused_read(path, error) from error
+            raise FileFormatError.unreadable(path, error) from error
         raise FileFormatError(
             path, "is not an image that can be read", "copy it again, or remove it"
         ) from error

@@ -21,7 +21,6 @@ from scoup.base import (
     check_arguments,
     counted,
     listed,
-    quoted,
 )
 from scoup.models import words
 from scoup.models.embedders import TEXT_MODELS, open_text_model
@@ -192,7 +191,8 @@ class TextEncoder:
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
             if len(phrase) > LONGEST:
                 raise InputError(
-                    f"{quoted(phrase)}: is too long for a phrase; pass at most {LONGEST:,} characters"
+                    f"{phrase[:80]!r}... ({len(phrase):,} characters): is too long for a phrase; pass at most "
+                    f"{LONGEST:,} characters"
                 )
         if not phrases:
             return torch.zeros(0, self.dim)
