@@ -96,14 +96,14 @@ class Batch:
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.io import has_cameras
+        from scoup.io import ScenePaths
 
         if not self.scans.is_dir():
             problem = "is a file" if self.scans.exists() else "there is no such folder"
             raise MissingFileError(
                 self.scans, f"{problem} (a folder of scans was expected)", "check the path"
             )
-        if has_cameras(self.scans):
+        if ScenePaths(self.scans).has_cameras:
             raise InputError(
                 f"{self.scans}: is a scan, expected a folder of scans; {command('build', self.scans)} builds its field"
             )

@@ -94,10 +94,10 @@ class SceneOptions:
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
         """Return cameras and regions of a scene, and the folder of the regions."""
-        from scoup.io import find_features, load_regions
+        from scoup.io import ScenePaths, load_regions
 
         cameras = self.load_cameras(scene)
-        features = find_features(scene, self.features)
+        features = ScenePaths(scene).features(self.features)
         return cameras, load_regions(features, cameras), features
 
 

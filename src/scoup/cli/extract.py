@@ -117,7 +117,7 @@ class Extract:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs, open_pair, total_wanted
-        from scoup.io import find_features
+        from scoup.io import ScenePaths
 
         scene = self._scene()
         if is_splat(scene):
@@ -129,7 +129,7 @@ class Extract:
         segmenter_name, settings = self._masks(console, self.common.device)
         photographs = find_photographs(scene, self.photographs.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = find_features(scene, self.out, to_make=True)
+        out = ScenePaths(scene).features(self.out, to_make=True)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
@@ -168,7 +168,7 @@ class Extract:
     def _draw(self, console: Console, view: str) -> None:
         """Draw the regions of a view at all levels, with their numbers where there is room."""
         from scoup.base import check_output
-        from scoup.io import RegionStore, load_cameras, load_image, load_regions, save_png, scene_folder
+        from scoup.io import RegionStore, ScenePaths, load_cameras, load_image, load_regions, save_png
         from scoup.pictures import regions_sheet
 
         scene = self._scene()
@@ -177,7 +177,7 @@ class Extract:
         ]
         picture = Path(f"{camera.stem}_regions.png")
         check_output(picture, overwrite=self.common.overwrite)
-        folder = self.out or scene_folder(scene)
+        folder = self.out or ScenePaths(scene).folder
         regions = load_regions(folder, [camera])
         manifest = RegionStore.open(folder).manifest
         settings = manifest.settings if manifest else {}
@@ -200,11 +200,11 @@ class Extract:
     ) -> list[Photograph] | None:
         """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
         from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
-        from scoup.io import RegionManifest, RegionStore, find_splat
+        from scoup.io import RegionManifest, RegionStore, ScenePaths
 
         wanted, scene = self.photographs, self._scene()
         if wanted.gaussians is not None:
-            find_splat(scene, wanted.gaussians)  # a mistake shows before the long work
+            ScenePaths(scene).splat(wanted.gaussians)  # a mistake shows before the long work
         before = None if self.common.overwrite else RegionManifest.read(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all

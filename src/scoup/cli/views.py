@@ -60,13 +60,14 @@ class MakeViews:
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source
+        from scoup.io import ScenePaths, load_gaussians, splat_source
 
         splat = splat_source(self.splat)
         source = splat.path
         out = self.out or Path(f"{source.stem}_views")
         check_output(out / TRANSFORMS, out / SHEET, overwrite=self.common.overwrite)
-        if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
+        there = ScenePaths(out)
+        if there.has_cameras and there.cameras().path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up

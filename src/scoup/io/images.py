@@ -132,27 +132,6 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
         Image.fromarray(np.ascontiguousarray(array)).save(stream, format="PNG")
 
 
-def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
-    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
-
-    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
-    picture of 16 bits.
-    """
-    from PIL import Image
-
-    array = numbers.cpu().numpy() if isinstance(numbers, Tensor) else np.asarray(numbers)
-    count = len(colors)
-    if array.ndim != 2 or not array.size or array.min() < -1 or array.max() >= count or count > 65535:
-        raise InputError(f"{path}: a map of numbers is [H, W], each -1 to {count - 1}")
-    if count > 255:
-        picture = Image.fromarray((array + 1).astype(np.uint16))
-    else:
-        picture = Image.fromarray((array + 1).astype(np.uint8))
-        picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
-    with atomic_file(path) as stream:
-        picture.save(stream, format="PNG")
-
-
 @contextmanager
 def open_image(path: Path) -> Iterator[Any]:
     """Yield an image of Pillow; whatever fails in the block, decoding included, is a FileFormatError.
