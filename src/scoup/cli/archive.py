@@ -13,10 +13,6 @@ from scoup.base import InputError, check_output, counted, write_text
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Model,
-    OptionalInteger,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
     WritesCommon,
     arg,
 )
@@ -43,19 +39,19 @@ class ScanOptions:
 class SearchOptions:
     """Options of a search."""
 
-    image: OptionalPath = None
+    image: Path | None = None
     """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
-    where: OptionalText = None
+    where: str | None = None
     """A condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100"."""
     top: int = 20
     """Most things to return; with --at-least, most scans."""
-    at_least: OptionalInteger = None
+    at_least: int | None = None
     """Only scans with so many things that answer, those with the most first. Default: every thing that answers."""
-    presence: OptionalNumber = None
+    presence: float | None = None
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
-    page: OptionalPath = None
+    page: Path | None = None
     """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that
     scoup view FIELD.scoup --export FIELD.html wrote, if there is one."""
 
@@ -67,7 +63,7 @@ class SearchArchive:
 
     folder: Annotated[tyro.conf.Positional[Path], arg(metavar="DIR")]
     """Folder of the archive; made when the first scan is added."""
-    question: tyro.conf.Positional[OptionalText] = None
+    question: tyro.conf.Positional[str | None] = None
     """What to find: a text, or a phrase such as "mug left of the laptop"."""
     scan: ScanOptions = ScanOptions()
     search: SearchOptions = SearchOptions()

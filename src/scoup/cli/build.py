@@ -22,7 +22,7 @@ from scoup.cli.build_options import (
     report_field,
 )
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath, arg, titled
+from scoup.cli.options import CLIP_MODEL, AllCommon, arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -57,12 +57,12 @@ class Build:
 
     scene: Annotated[tyro.conf.Positional[Path], arg(metavar="SCENE")]
     """Folder with cameras (and usually the photographs), or a cameras file; or a splat alone."""
-    out: OptionalPath = None
+    out: Path | None = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    parts: Annotated[SceneOptions, titled("scene")] = SceneOptions()
-    method: Annotated[BuildOptions, titled("field")] = BuildOptions()
+    parts: Annotated[SceneOptions, arg(name="scene")] = SceneOptions()
+    method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     coding: CodingOptions = CodingOptions()
-    region_sums: Annotated[SumOptions, titled("region sum")] = SumOptions()
+    region_sums: Annotated[SumOptions, arg(name="region sum")] = SumOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:

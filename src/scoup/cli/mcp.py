@@ -15,9 +15,6 @@ from scoup.cli.console import Console
 from scoup.cli.options import (
     DeviceCommon,
     Model,
-    OptionalInteger,
-    OptionalNumber,
-    OptionalPath,
     arg,
     check_number,
 )
@@ -41,17 +38,17 @@ class ServeAgents:
     """.scoup files; each is a scene, named as its file."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
-    words: OptionalPath = None
+    words: Path | None = None
     """File of words, one per line, that may be names of things. Default: all names of a word table, else everyday
     words and names that a model gave."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder into which selections may be exported; it is made, and nothing in it is overwritten. Default: exports are
     refused."""
-    archive: OptionalPath = None
+    archive: Path | None = None
     """Archive in which things are found too, written by scoup archive."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the scenes' unit in metres."""
-    http: Annotated[OptionalInteger, arg(metavar="PORT")] = None
+    http: Annotated[int | None, arg(metavar="PORT")] = None
     """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
     common: DeviceCommon = DeviceCommon()
 

@@ -18,12 +18,7 @@ from scoup.base import (
 )
 from scoup.cli.options import (
     Direction,
-    Flag,
     Model,
-    Names,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
     arg,
 )
 
@@ -40,7 +35,7 @@ _SAME_FRAME = "check that cameras and splat are in the same frame"
 class FieldOptions:
     """Options of verbs that open a language field."""
 
-    gaussians: OptionalPath = None
+    gaussians: Path | None = None
     """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
     def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
@@ -99,9 +94,9 @@ class TextOptions(FieldOptions):
 class CameraOptions:
     """Options of verbs that render a field in the views of cameras."""
 
-    camera: Names = ()
+    camera: tuple[str, ...] = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
-    scene: OptionalPath = None
+    scene: Path | None = None
     """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
 
     def all_cameras(self, field: LanguageField, path: Path) -> Cameras:
@@ -157,7 +152,7 @@ class CameraOptions:
 class WordOptions:
     """Options of verbs that name things."""
 
-    words: OptionalPath = None
+    words: Path | None = None
     """Words to name things with, one per line. Default: all words of the table of --text, else everyday words
     and names that a model gave."""
 
@@ -166,7 +161,7 @@ class WordOptions:
 class FrameOptions:
     """Options of verbs that understand relations between things."""
 
-    seen_from: Annotated[OptionalText, arg(metavar="CAMERA")] = None
+    seen_from: Annotated[str | None, arg(metavar="CAMERA")] = None
     """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
     up: Direction = None
     """The direction that is up. Default: estimated from the cameras, which people hold level."""
@@ -180,13 +175,13 @@ class FrameOptions:
 class AnswerOptions:
     """Options of verbs that answer texts and phrases."""
 
-    threshold: OptionalNumber = None
+    threshold: float | None = None
     """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
     in a field without things the Gaussians above the threshold at which the answer changes least."""
-    presence: OptionalNumber = None
+    presence: float | None = None
     """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
     lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
+    always: bool = False
     """Answer every text, without judging presence."""
 
     def rules(self) -> dict[str, Any]:
@@ -198,7 +193,7 @@ class AnswerOptions:
 class LevelOptions(AnswerOptions):
     """Options of verbs with a choice of the level that answers."""
 
-    level: OptionalText = None
+    level: str | None = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
 
     def rules(self) -> dict[str, Any]:

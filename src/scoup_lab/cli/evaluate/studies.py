@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from scoup.cli import Console, Flag, Names
+from scoup.cli import Console
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -72,12 +72,12 @@ class Baselines(StudyVerb):
     command resumes: results are kept in OUT/baselines.
     """
 
-    methods: Names = ()
+    methods: tuple[str, ...] = ()
     """Methods to run; repeat it for several. Default: all but sparse-all and joint-codes; the latter takes
     tens of minutes a scene."""
     seed: int = 0
     """Random seed."""
-    selection: Flag = False
+    selection: bool = False
     """Also score by the 3D-selection protocol, in a table of its own."""
 
     recorded: ClassVar[str] = "rules seed"
@@ -100,7 +100,7 @@ class Ablations(StudyVerb):
     levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
     """
 
-    groups: Names = ()
+    groups: tuple[str, ...] = ()
     """Groups of rows: vote, atoms, non-zeros, entropy, solver, levels, phrases, views; repeat it for
     several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
