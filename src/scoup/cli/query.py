@@ -200,7 +200,7 @@ class Query:
         progress: Progress,
     ) -> list[str]:
         """Write the requested videos; return their names."""
-        from scoup.pictures import save_video
+        from scoup.pictures import save_frames
         from scoup.query import heat_frames
 
         if self.video == "none":
@@ -211,7 +211,7 @@ class Query:
             if self.video == "turntable" and place.position is None:
                 continue
             frames = heat_frames(field, place, everywhere, self.video, FRAMES)
-            save_video(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
+            save_frames(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
             written.append(name)
         return written
 

@@ -49,7 +49,7 @@ class Render:
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
         from scoup.io import save_png
-        from scoup.pictures import save_animation
+        from scoup.pictures import save_frames
         from scoup.query import drawing
 
         kind = "" if self.out is None else self.out.suffix.lower()
@@ -80,7 +80,7 @@ class Render:
                 progress("render", done + 1, len(cameras))
             self.view.check_seen(self.field, blind, len(cameras))
             if animation:
-                save_animation(frames, hidden / out.name, FRAMES_PER_SECOND)
+                save_frames(frames, hidden / out.name, FRAMES_PER_SECOND)
         console.say(f"{counted(len(cameras), 'view')} rendered to {out}")
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 
