@@ -11,7 +11,7 @@ from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
 from scoup.io.gaussian_features import read_features
 from scoup.io.image_folder import DYNAMIC_MASK
-from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_png
+from scoup.io.images import ANY_PIXELS, load_image, open_image, rgb_image, save_png
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.io.regions.convert import convert_regions
@@ -65,7 +65,6 @@ __all__ = [
     "read_features",
     "read_json",
     "read_langsplat",
-    "read_mask",
     "read_points",
     "read_similarity",
     "read_tracks",

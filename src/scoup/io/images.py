@@ -103,15 +103,6 @@ def load_image(camera: Camera) -> Tensor:
     return sample_bilinear(image, photograph_pixels(camera, image.shape[1], image.shape[0]))
 
 
-def read_mask(path: str | Path, above: int) -> np.ndarray:
-    """Return [H, W] boolean: where an image, turned to grey, is brighter than ``above`` (0..255)."""
-    path = existing_file(path, "a mask")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with open_image(path) as image:
-            return np.asarray(rgb_image(image).convert("L")) > above
-
-
 def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = False) -> None:
     """Write a PNG: [H, W, 3] or [H, W, 4] uint8 colour, [H, W] uint8 grey, or [H, W] bool (true is white)."""
     from PIL import Image

@@ -15,7 +15,7 @@ from scoup.base import FileFormatError, scratch_array
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
-from scoup.scene import TENSORS, Gaussians
+from scoup.scene import Gaussians
 
 AT_A_TIME = 1 << 18  # rows of a large file
 _MICROSOFT = {rb"-?nan\(\w*\)|-?1\.#(ind|qnan|snan)\d*": b"nan", rb"1\.#inf\d*": b"inf"}
@@ -42,7 +42,7 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
         count = end
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
-    return Gaussians(*(torch.from_numpy(arrays[name][:count]) for name in TENSORS))
+    return Gaussians(**{name: torch.from_numpy(values[:count]) for name, values in arrays.items()})
 
 
 def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
