@@ -18,7 +18,7 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.archive import Archive, FoundThing
+    from scoup.archive import Archive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +99,16 @@ class SearchArchive:
         return _list(archive, console, scan.list_scans)
 
     def _search(self, archive: Archive, console: Console) -> None:
-        page, overwrite = self.search.page, self.common.overwrite
+        search, overwrite = self.search, self.common.overwrite
+        page, question = search.page, str(search.image or self.question)
         if page is not None:
             check_output(page, overwrite=overwrite)
-        question = str(self.search.image or self.question)
-        things = self._found(archive)
+        if search.image is None:
+            things = archive.find(question, search.where, search.top, search.at_least, search.presence)
+        elif search.at_least is not None or search.presence is not None:
+            raise InputError("--at-least and --presence are for texts")
+        else:
+            things = archive.find_image(search.image, search.where, search.top)
         counts = Counter(thing.scan for thing in things)
         for thing in things:
             score = "" if thing.score is None else f"{thing.score:.2f} "
@@ -118,15 +123,6 @@ class SearchArchive:
         console.result(
             {"question": question, "scans": dict(counts), "things": [thing.to_dict() for thing in things]}
         )
-
-    def _found(self, archive: Archive) -> list[FoundThing]:
-        search = self.search
-        if search.image is None:
-            assert self.question is not None
-            return archive.find(self.question, search.where, search.top, search.at_least, search.presence)
-        if search.at_least is not None or search.presence is not None:
-            raise InputError("--at-least and --presence are for texts")
-        return archive.find_image(search.image, search.where, search.top)
 
 
 def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
