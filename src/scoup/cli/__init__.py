@@ -16,7 +16,6 @@ _HOMES = {
     "CLIP_MODEL": "scoup.cli.options",
     "Console": "scoup.cli.console",
     "Family": "scoup.cli.family",
-    "Model": "scoup.cli.options",
     "WritesCommon": "scoup.cli.options",
     "arg": "scoup.cli.options",
     "command": "scoup.cli.console",
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from scoup.cli.family import Family as Family
     from scoup.cli.options import CLIP_MODEL as CLIP_MODEL
     from scoup.cli.options import AllCommon as AllCommon
-    from scoup.cli.options import Model as Model
     from scoup.cli.options import WritesCommon as WritesCommon
     from scoup.cli.options import arg as arg
 

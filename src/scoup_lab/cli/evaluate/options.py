@@ -12,7 +12,6 @@ from scoup.cli import (
     CLIP_MODEL,
     AllCommon,
     Console,
-    Model,
     arg,
 )
 
@@ -40,7 +39,7 @@ class DataSetOptions:
     """The photographs, with {scene} for the scene's name. Default: images, images_2, images_4 or images_8."""
     undistort: bool = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
-    text: Model = None
+    text: Annotated[str | None, arg(metavar="TABLE|MODEL")] = None
     """Text encoder of the labels. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
 
     def places(self) -> Places:
