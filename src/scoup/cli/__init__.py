@@ -16,6 +16,7 @@ _HOMES = {
     "CLIP_MODEL": "scoup.cli.options",
     "Console": "scoup.cli.console",
     "Family": "scoup.cli.family",
+    "Names": "scoup.cli.options",
     "WritesCommon": "scoup.cli.options",
     "arg": "scoup.cli.options",
     "command": "scoup.cli.console",
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from scoup.cli.family import Family as Family
     from scoup.cli.options import CLIP_MODEL as CLIP_MODEL
     from scoup.cli.options import AllCommon as AllCommon
+    from scoup.cli.options import Names as Names
     from scoup.cli.options import WritesCommon as WritesCommon
     from scoup.cli.options import arg as arg
 

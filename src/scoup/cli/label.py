@@ -11,7 +11,7 @@ import tyro
 
 from scoup.base import counted, staged
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, arg
+from scoup.cli.options import AllCommon, FieldFile, Names, arg
 from scoup.cli.query_options import (
     AnswerOptions,
     CameraOptions,
@@ -33,7 +33,7 @@ USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 class LabelViews(CameraOptions):
     """The views of maps and the sheet."""
 
-    camera: tuple[str, ...] = ()
+    camera: Names = ()
     """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
 
 

@@ -20,6 +20,7 @@ arg = partial(tyro.conf.arg, help_behavior_hint="")
 """An option shown in the help without its default, which its text gives in words."""
 
 Model = Annotated[str | None, arg(metavar="TABLE|MODEL")]
+Names = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME")]
 Direction = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 FieldFile = Annotated[tyro.conf.Positional[Path], arg(metavar="FIELD")]
 Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT ...]")]
@@ -28,11 +29,9 @@ _METAVARS = {Path: "PATH", str: "TEXT", int: "INT", float: "NUMBER"}
 
 
 def option_type(kind: Any) -> Any:
-    """Return the type of a field of a verb with how the help shows it: switches and options that are None by default
-    without it, names as an option to repeat."""
+    """Return the type of a field of a verb with how the help shows it: switches, and options that are None by default,
+    without the default."""
     plain, *settings = get_args(kind) if get_origin(kind) is Annotated else (kind,)
-    if kind == tuple[str, ...]:
-        return Annotated[tyro.conf.UseAppendAction[kind], arg(metavar="NAME")]
     if plain is bool:
         settings = [arg(), *settings]
     elif NoneType in get_args(plain) and (metavar := _METAVARS.get(get_args(plain)[0])):

@@ -19,6 +19,7 @@ from scoup.base import (
 from scoup.cli.options import (
     Direction,
     Model,
+    Names,
     arg,
 )
 
@@ -94,7 +95,7 @@ class TextOptions(FieldOptions):
 class CameraOptions:
     """Options of verbs that render a field in the views of cameras."""
 
-    camera: tuple[str, ...] = ()
+    camera: Names = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
     scene: Path | None = None
     """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""

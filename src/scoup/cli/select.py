@@ -12,6 +12,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
+    Names,
     Texts,
     arg,
     check_number,
@@ -48,7 +49,7 @@ class ShapeOptions:
 class PictureViews(CameraOptions):
     """The view of the picture."""
 
-    camera: tuple[str, ...] = ()
+    camera: Names = ()
     """Of --picture: name of a camera. Default: the one that sees most of the selection."""
 
 

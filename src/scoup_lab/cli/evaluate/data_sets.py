@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from scoup.cli import Console, arg
+from scoup.cli import Console, Names, arg
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -154,11 +154,11 @@ class ScanNet(Evaluated):
 
     protocol: ClassVar[str] = "scannet"
 
-    classes: tuple[str, ...] = ()
+    classes: Names = ()
     """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10."""
     level: Literal["best", "s", "m", "l"] = "best"
     """The level that answers; best takes the one at which a Gaussian is most relevant to any class."""
-    methods: tuple[str, ...] = ()
+    methods: Names = ()
     """Methods to score beside the field, as in scoup eval baselines; repeat it for several."""
 
     def evaluation(self) -> Evaluation[Any, Any]:

@@ -12,6 +12,7 @@ from scoup.cli import (
     CLIP_MODEL,
     AllCommon,
     Console,
+    Names,
     arg,
 )
 
@@ -27,7 +28,7 @@ Rules = Literal["scoup", "langsplatv2", "langsplat"]
 class DataSetOptions:
     """Scenes of a data set, and where their parts are."""
 
-    scenes: tuple[str, ...] = ()
+    scenes: Names = ()
     """Scenes to score; repeat it for several. Default: all that have labels."""
     gaussians: str | None = None
     """The trained splats, with {scene} for the scene's name. Default: the one in each scene's folder."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from scoup.cli import Console
+from scoup.cli import Console, Names
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Baselines(StudyVerb):
     command resumes: results are kept in OUT/baselines.
     """
 
-    methods: tuple[str, ...] = ()
+    methods: Names = ()
     """Methods to run; repeat it for several. Default: all but sparse-all and joint-codes; the latter takes
     tens of minutes a scene."""
     seed: int = 0
@@ -100,7 +100,7 @@ class Ablations(StudyVerb):
     levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
     """
 
-    groups: tuple[str, ...] = ()
+    groups: Names = ()
     """Groups of rows: vote, atoms, non-zeros, entropy, solver, levels, phrases, views; repeat it for
     several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
