@@ -12,10 +12,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from scoup.base import sealed
+from scoup.base.sealed_file import KEY as METADATA_KEY
+from scoup.base.sealed_file import array_checksum, sealed
 from scoup.field import FieldInfo
-from scoup.field.artefact import tensor_checksum
-from scoup.field.container import METADATA_KEY
 from scoup.query import LanguageField
 from scoup.scene import Camera, Cameras, Gaussians
 
@@ -67,6 +66,11 @@ def parts_of(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 def write_parts(path: Path, header: Mapping[str, Any], tensors: dict[str, Tensor]) -> None:
     """A file with this very header, and so with its checksums."""
     save_file(tensors, path, {METADATA_KEY: json.dumps(header, sort_keys=True)})
+
+
+def tensor_checksum(tensor: Tensor) -> str:
+    """As a header has it."""
+    return array_checksum(tensor.contiguous().numpy())
 
 
 def write_whole(path: Path, header: Mapping[str, Any], tensors: dict[str, Tensor]) -> None:

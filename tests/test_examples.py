@@ -18,8 +18,8 @@ from PIL import Image
 import scoup
 from children import finished
 from cli_support import run, write_scene
-from scoup.extract.plain_colors import PlainColors
 from scoup.models import CANONICAL_PHRASES, WordTable
+from scoup.models.plain_colors import PlainColors
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 

@@ -21,7 +21,7 @@ from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
 from scoup.archive import Archive
 from scoup.base import FileFormatError
 from scoup.base.errors import FieldVersionError
-from scoup.field.container import METADATA_KEY
+from scoup.base.sealed_file import KEY as METADATA_KEY
 from scoup.io import PlyTable
 from scoup.query import LanguageField
 from scoup.uplift import RegionSums

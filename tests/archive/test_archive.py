@@ -28,9 +28,10 @@ from scoup.archive.archive import FoundThing
 from scoup.archive.page import results_page
 from scoup.archive.search import Found, look_alikes, rank_of
 from scoup.base import InputError, ScoupWarning
-from scoup.extract.plain_colors import PlainColors
 from scoup.field import NameTable
-from scoup.models import WordTable, open_image_model
+from scoup.models import WordTable
+from scoup.models.image import open_image_model
+from scoup.models.plain_colors import PlainColors
 from scoup.query import LanguageField, ThingIndex, constants
 from scoup.query.thing_judge import shares_of, thing_index
 from support import altered, unit

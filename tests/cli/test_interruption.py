@@ -137,7 +137,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(("command", "inside"), [
     ("query f.scoup kettle --out new/answers", "scoup.query.field_view.FieldView.show"),
     ("select f.scoup kettle --out new/a.ply", "scoup.query.ask.each_answer"),
-    ("render f.scoup --out new/a.gif", "scoup.pictures.save_animation"),
+    ("render f.scoup --out new/a.gif", "scoup.pictures.save_frames"),
     ("views scene/point_cloud.ply --width 24 --height 18 --up 0 -1 0 --out new/own",
      "scoup.extract.own_views.render_colors"),
     ("convert scene new/compact", "scoup.io.regions.compact.write_view"),

@@ -14,7 +14,7 @@ from scoup.extract.automatic_masks import without_small_parts
 from scoup.extract.crops import mask_crops
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
-from scoup.extract.plain_colors import PlainColors
+from scoup.models.plain_colors import PlainColors
 
 
 @given(mask_stacks())

@@ -27,9 +27,9 @@ from scoup.extract import (
 )
 from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
-from scoup.extract.plain_colors import PlainColors
 from scoup.io import RegionManifest
 from scoup.io.regions.manifest import MANIFEST, write_manifest
+from scoup.models.plain_colors import PlainColors
 from scoup.scene import LEVELS, Cameras
 from support import make_camera
 from tiny_models import saved, tiny_clip, tiny_sam2

@@ -14,11 +14,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from field.conftest import field_with_things
-from field_files import parts_of, write_parts
+from field_files import parts_of, tensor_checksum, write_parts
 from messages import refuses
 from scoup.base import FileFormatError
 from scoup.base.errors import FieldVersionError
-from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
 from scoup.query import LanguageField
 from support import examples

@@ -18,8 +18,7 @@ from tempfile import TemporaryDirectory
 
 import duckdb
 
-from scoup.base import array_checksum, sealed
-from scoup.base.arrays import NO_CHECKSUM
+from scoup.base.sealed_file import NO_CHECKSUM, array_checksum, sealed
 from scoup.uplift.storage.array_file import with_checksum
 
 _BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")

@@ -25,7 +25,6 @@ from scoup.io import (
     load_regions,
     read_autoencoder,
     read_langsplat,
-    read_mask,
     read_points,
     read_tracks,
 )
@@ -41,6 +40,7 @@ from scoup.uplift import RegionSums, vote
 from scoup.uplift.storage.array_file import view_file
 from scoup_lab.data.labelled_points import read_labelled_ply
 from scoup_lab.data.labels import read_labels
+from scoup_lab.evaluate.protocols.threed_ovs import read_mask
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from messages import refuses
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder, find_beside
-from scoup.io.images import image_size, load_image, read_mask, save_png
+from scoup.io.images import image_size, load_image, save_png
 from scoup.scene import Camera
+from scoup_lab.evaluate.protocols.threed_ovs import read_mask
 
 
 def camera_of(width=64, height=48, distortion=(), image_path=None) -> Camera:

@@ -4,7 +4,7 @@ checks of arguments and files, tables that packages extend, and the one way to e
 Nothing here knows of 3D, and importing it loads neither torch nor numpy.
 """
 
-from scoup.base.arrays import array_checksum, file_sha256, geometry_fingerprint, is_sealed, sealed, write_npz
+from scoup.base.arrays import file_sha256, geometry_fingerprint, write_npz
 from scoup.base.backends import load_backend, serves
 from scoup.base.errors import (
     FileFormatError,
@@ -17,14 +17,11 @@ from scoup.base.errors import (
     WriteError,
     check_format_version,
     looked_up,
-    quoted,
-    refused_read,
-    remedy_of,
 )
-from scoup.base.inputs import check_arguments, existing_file, refuse_pointer, safetensors_damage_named
+from scoup.base.inputs import check_arguments, existing_file, refuse_pointer
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
-from scoup.base.native import native_core, release_memory, required_core
+from scoup.base.native import native_core, required_core
 from scoup.base.outputs import (
     atomic_file,
     atomic_path,
@@ -38,6 +35,7 @@ from scoup.base.outputs import (
 from scoup.base.pages import PREVIEW, card, html
 from scoup.base.registry import Entry, Registry
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array, temporary_folder
+from scoup.base.sealed_file import SealedFile
 from scoup.base.texts import (
     brief,
     counted,
@@ -48,7 +46,6 @@ from scoup.base.texts import (
     slug,
     spread,
     unique_slugs,
-    verb,
 )
 from scoup.base.version import VERSION
 from scoup.base.work import Part, Progress, no_progress, reported, worked_ahead
@@ -68,9 +65,9 @@ __all__ = [
     "Registry",
     "ScoupError",
     "ScoupWarning",
+    "SealedFile",
     "UnknownNameError",
     "WriteError",
-    "array_checksum",
     "atomic_file",
     "atomic_path",
     "brief",
@@ -84,7 +81,6 @@ __all__ = [
     "flush_to_disk",
     "geometry_fingerprint",
     "html",
-    "is_sealed",
     "lazy_names",
     "listed",
     "load_backend",
@@ -93,18 +89,12 @@ __all__ = [
     "native_core",
     "no_progress",
     "printable",
-    "quoted",
     "refuse_pointer",
-    "refused_read",
-    "release_memory",
-    "remedy_of",
     "reported",
     "required_core",
     "reserved_output",
     "rounded_vector",
-    "safetensors_damage_named",
     "scratch_array",
-    "sealed",
     "serves",
     "share_of",
     "slug",
@@ -112,7 +102,6 @@ __all__ = [
     "staged",
     "temporary_folder",
     "unique_slugs",
-    "verb",
     "worked_ahead",
     "write_npz",
     "write_text",

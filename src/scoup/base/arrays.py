@@ -1,17 +1,15 @@
-"""Checksums of files, arrays and headers, and archives of arrays with stable bytes."""
+"""Checksums of files and geometry, and archives of arrays with stable bytes."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scoup.base.errors import MissingFileError, refused_read
+from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.base.outputs import atomic_file
 
 if TYPE_CHECKING:
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK = 1 << 20  # bytes read at a time
-NO_CHECKSUM = "0" * 8
 
 
 def file_sha256(path: str | Path) -> str:
@@ -32,39 +29,8 @@ def file_sha256(path: str | Path) -> str:
             while block := stream.read(_BLOCK):
                 digest.update(block)
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     return digest.hexdigest()
-
-
-def array_checksum(array: NDArray[Any]) -> str:
-    """Return the CRC-32 over type, shape and bytes of an array, as eight hexadecimal digits.
-
-    CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
-    """
-    import numpy as np
-
-    described = f"{array.dtype} {list(array.shape)}\n".encode()
-    content = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
-    return f"{zlib.crc32(content, zlib.crc32(described)):08x}"
-
-
-def sealed(header: Mapping[str, Any]) -> str:
-    """Return a header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
-    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
-    return _replaced(text, NO_CHECKSUM, _crc32(text))
-
-
-def is_sealed(text: str, checksum: object) -> bool:
-    """Return whether the checksum in the text of a header is right."""
-    return isinstance(checksum, str) and _crc32(_replaced(text, checksum, NO_CHECKSUM)) == checksum
-
-
-def _crc32(text: str) -> str:
-    return f"{zlib.crc32(text.encode()):08x}"
-
-
-def _replaced(text: str, checksum: str, other: str) -> str:
-    return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
 
 
 def geometry_fingerprint(

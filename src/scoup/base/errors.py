@@ -50,13 +50,13 @@ class FileFormatError(InputError):
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.path, self.problem, self.remedy)
 
-
-def refused_read(path: str | Path, error: OSError) -> FileFormatError:
-    """Return the error of a file that was found, and that the system then refuses to read."""
-    if isinstance(error, FileNotFoundError):
-        return FileFormatError(path, "disappeared while being read", "restore it and retry")
-    remedy = remedy_of(error) or "check its permissions"
-    return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
+    @staticmethod
+    def unreadable(path: str | Path, error: OSError) -> FileFormatError:
+        """Return the error of a file that was found, and that the system then refuses to read."""
+        if isinstance(error, FileNotFoundError):
+            return FileFormatError(path, "disappeared while being read", "restore it and retry")
+        remedy = remedy_of(error) or "check its permissions"
+        return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
 
 
 def remedy_of(error: OSError) -> str:

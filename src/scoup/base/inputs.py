@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
 
 _MADE_BY = {
     "Gaussians": "scoup.load_gaussians(path)",
@@ -45,31 +44,6 @@ def refuse_pointer(path: Path) -> None:
         if os.path.getsize(path) < _MOST_OF_POINTER and path.read_bytes().startswith(_POINTER):
             problem = "is a pointer of Git LFS, not the file itself"
             raise FileFormatError(path, problem, "run git lfs pull where it was cloned")
-
-
-@contextmanager
-def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
-    """Turn every failure of reading a damaged safetensors file into a FileFormatError."""
-    from safetensors import SafetensorError
-
-    try:
-        yield
-    except ScoupError:
-        raise
-    except FileNotFoundError as error:
-        raise refused_read(path, error) from error
-    except (
-        SafetensorError,
-        ValueError,
-        KeyError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", remedy) from error
 
 
 def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ...]]) -> None:

@@ -44,13 +44,6 @@ def native_core() -> ModuleType | None:
     return load_core().core
 
 
-def release_memory() -> None:
-    """Give free memory of this process back to the system, after a stage that has used much."""
-    core = native_core()
-    if core is not None:
-        core.release_memory()
-
-
 @contextmanager
 def required_core() -> Iterator[ModuleType]:
     """Yield the module ``scoup._native``. Its errors become InputError: what it refuses is the caller's mistake."""

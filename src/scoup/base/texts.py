@@ -37,11 +37,6 @@ def share_of(count: int, total: int, thing: str, things: str = "") -> str:
     return f"the only {thing}" if total == 1 else f"{count:,} of {counted(total, thing, things)}"
 
 
-def verb(count: int, singular: str, plural: str) -> str:
-    """Return the form of a verb, or of what begins with it, that a number of things takes."""
-    return singular if count == 1 else plural
-
-
 def listed(names: Sequence[str], count: int = 3) -> str:
     """Return the first few of some names: "a, b, c, ..."."""
     return ", ".join(names[:count]) + (", ..." if len(names) > count else "")

@@ -16,16 +16,10 @@ _HOMES = {
     "CLIP_MODEL": "scoup.cli.options",
     "Console": "scoup.cli.console",
     "Family": "scoup.cli.family",
-    "Flag": "scoup.cli.options",
-    "Model": "scoup.cli.options",
     "Names": "scoup.cli.options",
-    "OptionalInteger": "scoup.cli.options",
-    "OptionalPath": "scoup.cli.options",
-    "OptionalText": "scoup.cli.options",
     "WritesCommon": "scoup.cli.options",
     "arg": "scoup.cli.options",
     "command": "scoup.cli.console",
-    "titled": "scoup.cli.options",
     "entry": "scoup.cli.app",
 }
 
@@ -38,15 +32,9 @@ if TYPE_CHECKING:
     from scoup.cli.family import Family as Family
     from scoup.cli.options import CLIP_MODEL as CLIP_MODEL
     from scoup.cli.options import AllCommon as AllCommon
-    from scoup.cli.options import Flag as Flag
-    from scoup.cli.options import Model as Model
     from scoup.cli.options import Names as Names
-    from scoup.cli.options import OptionalInteger as OptionalInteger
-    from scoup.cli.options import OptionalPath as OptionalPath
-    from scoup.cli.options import OptionalText as OptionalText
     from scoup.cli.options import WritesCommon as WritesCommon
     from scoup.cli.options import arg as arg
-    from scoup.cli.options import titled as titled
 
 __getattr__ = lazy_names(__name__, _HOMES)
 

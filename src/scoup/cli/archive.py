@@ -13,16 +13,12 @@ from scoup.base import InputError, check_output, counted, write_text
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Model,
-    OptionalInteger,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
     WritesCommon,
     arg,
 )
 
 if TYPE_CHECKING:
-    from scoup.archive import Archive, FoundThing
+    from scoup.archive import Archive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,19 +39,19 @@ class ScanOptions:
 class SearchOptions:
     """Options of a search."""
 
-    image: OptionalPath = None
+    image: Path | None = None
     """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
-    where: OptionalText = None
+    where: str | None = None
     """A condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100"."""
     top: int = 20
     """Most things to return; with --at-least, most scans."""
-    at_least: OptionalInteger = None
+    at_least: int | None = None
     """Only scans with so many things that answer, those with the most first. Default: every thing that answers."""
-    presence: OptionalNumber = None
+    presence: float | None = None
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
-    page: OptionalPath = None
+    page: Path | None = None
     """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that
     scoup view FIELD.scoup --export FIELD.html wrote, if there is one."""
 
@@ -67,7 +63,7 @@ class SearchArchive:
 
     folder: Annotated[tyro.conf.Positional[Path], arg(metavar="DIR")]
     """Folder of the archive; made when the first scan is added."""
-    question: tyro.conf.Positional[OptionalText] = None
+    question: tyro.conf.Positional[str | None] = None
     """What to find: a text, or a phrase such as "mug left of the laptop"."""
     scan: ScanOptions = ScanOptions()
     search: SearchOptions = SearchOptions()
@@ -103,11 +99,16 @@ class SearchArchive:
         return _list(archive, console, scan.list_scans)
 
     def _search(self, archive: Archive, console: Console) -> None:
-        page, overwrite = self.search.page, self.common.overwrite
+        search, overwrite = self.search, self.common.overwrite
+        page, question = search.page, str(search.image or self.question)
         if page is not None:
             check_output(page, overwrite=overwrite)
-        question = str(self.search.image or self.question)
-        things = self._found(archive)
+        if search.image is None:
+            things = archive.find(question, search.where, search.top, search.at_least, search.presence)
+        elif search.at_least is not None or search.presence is not None:
+            raise InputError("--at-least and --presence are for texts")
+        else:
+            things = archive.find_image(search.image, search.where, search.top)
         counts = Counter(thing.scan for thing in things)
         for thing in things:
             score = "" if thing.score is None else f"{thing.score:.2f} "
@@ -122,15 +123,6 @@ class SearchArchive:
         console.result(
             {"question": question, "scans": dict(counts), "things": [thing.to_dict() for thing in things]}
         )
-
-    def _found(self, archive: Archive) -> list[FoundThing]:
-        search = self.search
-        if search.image is None:
-            assert self.question is not None
-            return archive.find(self.question, search.where, search.top, search.at_least, search.presence)
-        if search.at_least is not None or search.presence is not None:
-            raise InputError("--at-least and --presence are for texts")
-        return archive.find_image(search.image, search.where, search.top)
 
 
 def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:

@@ -21,7 +21,7 @@ import tyro
 from scoup.base import InputError, MissingFileError, ScoupError, counted, html, reserved_output, write_text
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
-from scoup.cli.options import AllCommon, Model, OptionalPath, OptionalText, arg, check_number, titled
+from scoup.cli.options import AllCommon, Model, arg, check_number
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -49,16 +49,16 @@ class Batch:
     """Folder with a folder per scan: a splat and its scene, as for scoup build."""
     out: Path
     """Folder of the fields, each named as its scan."""
-    archive: OptionalPath = None
+    archive: Path | None = None
     """Archive to which the fields are added, for scoup archive."""
     text: Model = None
     """Text encoder of the archive, as for scoup archive."""
     jobs: int = 1
     """Scans at a time, each in a process of its own."""
-    ray: Annotated[OptionalText, arg(metavar="ADDRESS")] = None
+    ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
-    method: Annotated[BuildOptions, titled("field")] = BuildOptions()
+    method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> int:
@@ -96,14 +96,14 @@ class Batch:
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.io import has_cameras
+        from scoup.io import ScenePaths
 
         if not self.scans.is_dir():
             problem = "is a file" if self.scans.exists() else "there is no such folder"
             raise MissingFileError(
                 self.scans, f"{problem} (a folder of scans was expected)", "check the path"
             )
-        if has_cameras(self.scans):
+        if ScenePaths(self.scans).has_cameras:
             raise InputError(
                 f"{self.scans}: is a scan, expected a folder of scans; {command('build', self.scans)} builds its field"
             )

@@ -22,7 +22,7 @@ from scoup.cli.build_options import (
     report_field,
 )
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath, arg, titled
+from scoup.cli.options import CLIP_MODEL, AllCommon, arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -57,18 +57,18 @@ class Build:
 
     scene: Annotated[tyro.conf.Positional[Path], arg(metavar="SCENE")]
     """Folder with cameras (and usually the photographs), or a cameras file; or a splat alone."""
-    out: OptionalPath = None
+    out: Path | None = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    parts: Annotated[SceneOptions, titled("scene")] = SceneOptions()
-    method: Annotated[BuildOptions, titled("field")] = BuildOptions()
+    parts: Annotated[SceneOptions, arg(name="scene")] = SceneOptions()
+    method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     coding: CodingOptions = CodingOptions()
-    region_sums: Annotated[SumOptions, titled("region sum")] = SumOptions()
+    region_sums: Annotated[SumOptions, arg(name="region sum")] = SumOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
-        from scoup.io import scene_folder
+        from scoup.io import ScenePaths
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -78,7 +78,7 @@ class Build:
             )
         if self.region_sums.part is not None:
             return self._write_part(console)
-        out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
+        out = self.out or Path(f"{ScenePaths(self.scene).folder.resolve().name}.scoup")
         check_field_output(out, self.common.overwrite)
         begun = time.perf_counter()
         extracted = self._extract(console)
@@ -101,7 +101,7 @@ class Build:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
         from scoup.cli.extract import Extract, ModelOptions, PhotographOptions
         from scoup.extract import lacks_views
-        from scoup.io import find_features, find_splat
+        from scoup.io import ScenePaths
 
         named = self.method.segmenter is not None or self.method.embedder is not None
         if self.parts.features is not None:
@@ -110,13 +110,14 @@ class Build:
                     "--segmenter and --embedder make regions, --features names some; pass either"
                 )
             return {}
-        made, embedder = find_features(self.scene, to_make=True), self.method.embedder or CLIP_MODEL
+        paths, embedder = ScenePaths(self.scene), self.method.embedder or CLIP_MODEL
         if self.region_sums.sums is not None:
             return {}
+        made = paths.features(to_make=True)
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
         # Mistakes show before the long work.
-        source = find_splat(self.scene, self.parts.gaussians)
+        source = paths.splat(self.parts.gaussians)
         self.settings(source.preset)
         self.parts.load_cameras(self.scene)
         return Extract(
@@ -202,10 +203,10 @@ class Build:
         return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
 
     def _load(self, console: Console) -> _Loaded:
-        from scoup.io import DetectionStore, find_splat, load_gaussians
+        from scoup.io import DetectionStore, ScenePaths, load_gaussians
         from scoup.uplift import embedding_source
 
-        splat = find_splat(self.scene, self.parts.gaussians)
+        splat = ScenePaths(self.scene).splat(self.parts.gaussians)
         source = splat.path
         raster_preset = splat.preset if self.parts.raster_preset == "auto" else self.parts.raster_preset
         self.settings(raster_preset)  # a mistake shows before the long work
@@ -257,9 +258,10 @@ class Build:
 
 def _suggestion(field: Field, out: Path) -> str:
     """Return the next command for a field: a query only if the field names a text encoder."""
-    from scoup.models import COLORS
+    from scoup.models import words_problem
 
-    if field.info.words is None and field.embedding_model in ("", COLORS):
+    model = field.embedding_model
+    if field.info.words is None and (not model or words_problem(model)):
         return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"
     return f"ask it: {command('query', out, 'WORD')}, or {command('view', out)}"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, arg
+from scoup.cli.options import arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 class BuildOptions:
     """Settings of a field."""
 
-    model: OptionalText = None
+    model: str | None = None
     """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
     Default: the model that the features name, else, for embeddings of 512 dimensions,
     laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
-    segmenter: OptionalText = None
+    segmenter: str | None = None
     """Segmenter for a scene without regions, as for scoup extract."""
-    embedder: OptionalText = None
+    embedder: str | None = None
     """Embedder for a scene without regions, as for scoup extract."""
     preset: Literal["default", "paper"] = "default"
     """default gives the best answers (128 atoms, exact coding, two rounds of the vote); paper is the method as
     published (64 atoms, Adam, one round)."""
-    embed_geometry: Flag = False
+    embed_geometry: bool = False
     """Embed the Gaussians in the field's file, so that it needs no other file."""
 
 
@@ -38,11 +38,11 @@ class BuildOptions:
 class CodingOptions:
     """Settings of the codes of embeddings."""
 
-    n_atoms: OptionalInteger = None
+    n_atoms: int | None = None
     """Atoms in the codebook of each level (L). Default: 128; paper: 64."""
-    k: OptionalInteger = None
+    k: int | None = None
     """Atoms in the code of a region (K). Default: 4."""
-    codebook: OptionalPath = None
+    codebook: Path | None = None
     """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
     For photographs that came later. Default: a new codebook is learned."""
 
@@ -54,12 +54,12 @@ class SumOptions:
     scale: Annotated[float | None, arg(metavar="NUMBER")] = None
     """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1. Default: the
     longer side has 500 pixels, or the camera's if it is shorter; paper: 1."""
-    keep_sums: OptionalPath = None
+    keep_sums: Path | None = None
     """Folder for the region sums, one file per view. Views that it contains unchanged are not rasterised again, so the
     same command resumes a build that was ended, and takes in new photographs. Default: a temporary folder."""
-    sums: OptionalPath = None
+    sums: Path | None = None
     """Build from the region sums in this folder, written by --keep-sums, without rasterising."""
-    part: OptionalText = None
+    part: str | None = None
     """I/N, such as 1/4: only rasterise every N-th view from the I-th on, into the folder of --keep-sums. Parts may be
     made in any order, on any machine; afterwards, build with --sums."""
 
@@ -68,19 +68,19 @@ class SumOptions:
 class SceneOptions:
     """The parts of a scene."""
 
-    gaussians: OptionalPath = None
+    gaussians: Path | None = None
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
-    features: OptionalPath = None
+    features: Path | None = None
     """Folder of region features. Default: SCENE/language_features."""
-    images: OptionalPath = None
+    images: Path | None = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    undistort: Flag = False
+    undistort: bool = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
-    dataparser_transforms: OptionalPath = None
+    dataparser_transforms: Path | None = None
     """The dataparser_transforms.json of a nerfstudio training: brings the cameras to the frame of its splat."""
-    no_check_fit: Flag = False
+    no_check_fit: bool = False
     """Skip the check that small renders of the splat match the photographs."""
 
     def load_cameras(self, scene: Path) -> Cameras:
@@ -94,10 +94,10 @@ class SceneOptions:
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
         """Return cameras and regions of a scene, and the folder of the regions."""
-        from scoup.io import find_features, load_regions
+        from scoup.io import ScenePaths, load_regions
 
         cameras = self.load_cameras(scene)
-        features = find_features(scene, self.features)
+        features = ScenePaths(scene).features(self.features)
         return cameras, load_regions(features, cameras), features
 
 

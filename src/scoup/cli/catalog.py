@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from scoup.base import counted
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, OptionalNumber, OptionalPath, titled
+from scoup.cli.options import AllCommon, FieldFile, arg
 from scoup.cli.query_options import (
     FrameOptions,
     TextOptions,
@@ -26,13 +27,13 @@ class MakeCatalog:
 
     field: FieldFile
     """The .scoup file."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder to write. Default: <name of FIELD>_catalog here."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the scene's unit in metres: the table is in metres, the scene graph has both."""
     words: WordOptions = WordOptions()
     directions: FrameOptions = FrameOptions()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:

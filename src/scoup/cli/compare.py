@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base import counted
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, OptionalNumber, OptionalPath, arg, titled
+from scoup.cli.options import AllCommon, arg
 from scoup.cli.query_options import (
     FieldOptions,
     TextOptions,
@@ -24,9 +24,9 @@ from scoup.cli.query_options import (
 class CaptureOptions(TextOptions):
     """Options of verbs that open two fields."""
 
-    new_gaussians: OptionalPath = None
+    new_gaussians: Path | None = None
     """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""
-    transform: OptionalPath = None
+    transform: Path | None = None
     """Text or JSON file with 4 x 4 numbers: the rotation, scale and translation from the frame of NEW to that of OLD.
     Default: the frames are the same."""
 
@@ -40,11 +40,11 @@ class CompareCaptures:
     """The .scoup file of the first capture."""
     new: Annotated[tyro.conf.Positional[Path], arg(metavar="NEW")]
     """The .scoup file of the second one, with embeddings of the same model."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder to write. Default: <name of NEW>_changes here."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the unit of OLD in metres."""
-    opening: Annotated[CaptureOptions, titled("field")] = CaptureOptions()
+    opening: Annotated[CaptureOptions, arg(name="field")] = CaptureOptions()
     words: WordOptions = WordOptions()
     common: AllCommon = AllCommon()
 

@@ -22,7 +22,6 @@ from scoup.base import (
     WriteError,
     no_progress,
     printable,
-    remedy_of,
 )
 from scoup.cli.options import Common
 from scoup.cli.stop import exit_code
@@ -145,9 +144,9 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         except OSError as error:  # such as a full disk: no fault of the program
             if error.errno == errno.ENOMEM:
                 return console.fail(_OUT_OF_MEMORY, 2)
-            where = f"{error.filename}: " if error.filename else ""
-            remedy = remedy_of(error) or "remove the cause and try again"
-            return console.fail(f"{where}the system refused ({error.strerror or error}); {remedy}", 2)
+            where, refused = f"{error.filename}: " if error.filename else "", WriteError.of("", error)
+            remedy = refused.remedy or "remove the cause and try again"
+            return console.fail(f"{where}the system refused ({refused.reason}); {remedy}", 2)
         except (RuntimeError, ImportError) as error:  # as torch reports it, and the loader of its libraries
             if not any(sign in str(error) for sign in _SIGNS_OF_MEMORY):
                 raise

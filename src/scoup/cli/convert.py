@@ -11,7 +11,7 @@ import tyro
 from scoup.base import FileFormatError, InputError, counted
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, WritesCommon, arg, titled
+from scoup.cli.options import WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -27,7 +27,7 @@ class RegionOptions:
 
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number."""
-    autoencoder: OptionalPath = None
+    autoencoder: Path | None = None
     """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
 
 
@@ -35,7 +35,7 @@ class RegionOptions:
 class FeatureOptions:
     """Options for features of Gaussians."""
 
-    gaussians: OptionalPath = None
+    gaussians: Path | None = None
     """The splat that the features belong to, in its order."""
     n_atoms: int = 128
     """Atoms of each codebook that features are coded by."""
@@ -61,12 +61,12 @@ class Convert:
     """Splat, folder of region features, array of features, or checkpoint."""
     target: Annotated[tyro.conf.Positional[Path], arg(metavar="TARGET")]
     """Splat, folder or .scoup to write."""
-    keep_axes: Flag = False
+    keep_axes: bool = False
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
-    model: OptionalText = None
+    model: str | None = None
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
     regions: RegionOptions = RegionOptions()
-    features: Annotated[FeatureOptions, titled("field")] = FeatureOptions()
+    features: Annotated[FeatureOptions, arg(name="field")] = FeatureOptions()
     common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:

@@ -16,11 +16,7 @@ from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
     AllCommon,
-    OptionalInteger,
-    OptionalPath,
-    OptionalText,
     arg,
-    titled,
 )
 
 if TYPE_CHECKING:
@@ -34,12 +30,12 @@ MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, a
 class PhotographOptions:
     """Choice of photographs."""
 
-    views: OptionalText = None
+    views: str | None = None
     """How many photographs to extract: a number, more beside those chosen before (+40), or all. Default: up to 24 all;
     of more, those that show the scene sharply and from new directions, by renders of its splat or COLMAP's points."""
-    gaussians: OptionalPath = None
+    gaussians: Path | None = None
     """The trained splat by which photographs are chosen. Default: the one in SCENE."""
-    images: OptionalPath = None
+    images: Path | None = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
 
 
@@ -47,7 +43,7 @@ class PhotographOptions:
 class ModelOptions:
     """The models."""
 
-    segmenter: OptionalText = None
+    segmenter: str | None = None
     """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; or felzenszwalb: regions of even colour,
     no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
@@ -62,7 +58,7 @@ class ModelOptions:
 class ConceptOptions:
     """Words to detect."""
 
-    concepts: OptionalText = None
+    concepts: str | None = None
     """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
     everyday, for about a thousand everyday words."""
     concept_model: str = "owlv2"
@@ -76,7 +72,7 @@ class MaskOptions:
     preset: Annotated[Literal["langsplat", "fast"] | None, arg()] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
     early filters, 16 bits where the device can. Default: langsplat on a GPU, fast without one."""
-    points_per_side: OptionalInteger = None
+    points_per_side: int | None = None
     """Points along each side of a grid. Default: 32."""
 
 
@@ -90,18 +86,18 @@ class Extract:
 
     scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
     """Folder with cameras and photographs, or of photographs alone."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
-    part: OptionalText = None
+    part: str | None = None
     """I/N, such as 1/4: extract only every N-th photograph from the I-th on. Parts may be made in any order, on any
     machine that sees the folder."""
-    show: Annotated[OptionalText, arg(metavar="VIEW")] = None
+    show: Annotated[str | None, arg(metavar="VIEW")] = None
     """Extract nothing: draw the regions of this view, which --out contains, beside its photograph, as VIEW_regions.png
     here."""
-    photographs: Annotated[PhotographOptions, titled("photograph")] = PhotographOptions()
-    models: Annotated[ModelOptions, titled("model")] = ModelOptions()
+    photographs: Annotated[PhotographOptions, arg(name="photograph")] = PhotographOptions()
+    models: Annotated[ModelOptions, arg(name="model")] = ModelOptions()
     words: ConceptOptions = ConceptOptions()
-    masks: Annotated[MaskOptions, titled("mask")] = MaskOptions()
+    masks: Annotated[MaskOptions, arg(name="mask")] = MaskOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
@@ -117,7 +113,7 @@ class Extract:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs, open_pair, total_wanted
-        from scoup.io import find_features
+        from scoup.io import ScenePaths
 
         scene = self._scene()
         if is_splat(scene):
@@ -129,7 +125,7 @@ class Extract:
         segmenter_name, settings = self._masks(console, self.common.device)
         photographs = find_photographs(scene, self.photographs.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = find_features(scene, self.out, to_make=True)
+        out = ScenePaths(scene).features(self.out, to_make=True)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
@@ -168,7 +164,7 @@ class Extract:
     def _draw(self, console: Console, view: str) -> None:
         """Draw the regions of a view at all levels, with their numbers where there is room."""
         from scoup.base import check_output
-        from scoup.io import RegionStore, load_cameras, load_image, load_regions, save_png, scene_folder
+        from scoup.io import RegionStore, ScenePaths, load_cameras, load_image, load_regions, save_png
         from scoup.pictures import regions_sheet
 
         scene = self._scene()
@@ -177,7 +173,7 @@ class Extract:
         ]
         picture = Path(f"{camera.stem}_regions.png")
         check_output(picture, overwrite=self.common.overwrite)
-        folder = self.out or scene_folder(scene)
+        folder = self.out or ScenePaths(scene).folder
         regions = load_regions(folder, [camera])
         manifest = RegionStore.open(folder).manifest
         settings = manifest.settings if manifest else {}
@@ -200,11 +196,11 @@ class Extract:
     ) -> list[Photograph] | None:
         """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
         from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
-        from scoup.io import RegionManifest, RegionStore, find_splat
+        from scoup.io import RegionManifest, RegionStore, ScenePaths
 
         wanted, scene = self.photographs, self._scene()
         if wanted.gaussians is not None:
-            find_splat(scene, wanted.gaussians)  # a mistake shows before the long work
+            ScenePaths(scene).splat(wanted.gaussians)  # a mistake shows before the long work
         before = None if self.common.overwrite else RegionManifest.read(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all

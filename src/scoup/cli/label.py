@@ -11,7 +11,7 @@ import tyro
 
 from scoup.base import counted, staged
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, Names, OptionalPath, arg, titled
+from scoup.cli.options import AllCommon, FieldFile, Names, arg
 from scoup.cli.query_options import (
     AnswerOptions,
     CameraOptions,
@@ -49,9 +49,9 @@ class Label:
     """The .scoup file."""
     texts: Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="WORD [WORD ...]")] = ()
     """Things, for example "kettle" "mug left of the laptop" (docs/things.md), numbered from 0 in this order."""
-    words: OptionalPath = None
+    words: Path | None = None
     """File of further words, one per line, each taken as it is."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder to write. Default: <name of FIELD>_labels here."""
     outputs: tuple[Output, ...] = USUAL
     """What is written. sidecar: labels.npy, a number per Gaussian, -1 for none, and labels.json, what the numbers mean.
@@ -62,7 +62,7 @@ class Label:
     answer: AnswerOptions = AnswerOptions()
     directions: FrameOptions = FrameOptions()
     view: LabelViews = LabelViews()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,9 +16,6 @@ from scoup.cli.console import Console
 from scoup.cli.options import (
     DeviceCommon,
     Model,
-    OptionalInteger,
-    OptionalNumber,
-    OptionalPath,
     arg,
     check_number,
 )
@@ -41,24 +39,24 @@ class ServeAgents:
     """.scoup files; each is a scene, named as its file."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
-    words: OptionalPath = None
+    words: Path | None = None
     """File of words, one per line, that may be names of things. Default: all names of a word table, else everyday
     words and names that a model gave."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder into which selections may be exported; it is made, and nothing in it is overwritten. Default: exports are
     refused."""
-    archive: OptionalPath = None
+    archive: Path | None = None
     """Archive in which things are found too, written by scoup archive."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the scenes' unit in metres."""
-    http: Annotated[OptionalInteger, arg(metavar="PORT")] = None
+    http: Annotated[int | None, arg(metavar="PORT")] = None
     """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
     common: DeviceCommon = DeviceCommon()
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.io import read_words
-        from scoup.view import SceneTools, make_server, serve
+        from scoup.view import SceneTools, serve
 
         self._check_options()
         words = read_words(self.words)
@@ -70,11 +68,9 @@ class ServeAgents:
             archive = Archive(self.archive, self.text)
             archive.text_encoder()  # as the fields'
             more = [archive_tool(archive)]
-        server = make_server(SceneTools(fields, self.out, self.metres_per_unit, words), more)
+        tools = SceneTools(fields, self.out, self.metres_per_unit, words)
         try:
-            if self.http is None:
-                console.warn(f"serving {', '.join(fields)} over standard input and output")
-            stopped = serve(server, self.http, partial(_announce, console))
+            stopped = serve(tools, more, self.http, partial(_announce, console, fields))
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
         return 143 if stopped == signal.SIGTERM else 0
@@ -105,6 +101,8 @@ class ServeAgents:
         return fields
 
 
-def _announce(console: Console, address: str, token: str) -> None:
+def _announce(console: Console, fields: Iterable[str], address: str, token: str) -> None:
+    if not address:
+        return console.warn(f"serving {', '.join(fields)} over standard input and output")
     console.say(f"{address}\nheader of each request: Authorization: Bearer {token}\npress Ctrl-C to stop")
-    console.result({"address": address, "token": token})
+    return console.result({"address": address, "token": token})

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 
@@ -18,24 +19,24 @@ CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 arg = partial(tyro.conf.arg, help_behavior_hint="")
 """An option shown in the help without its default, which its text gives in words."""
 
-Flag = Annotated[bool, arg()]
-"""A switch that is off by default."""
-
-OptionalPath = Annotated[Path | None, arg(metavar="PATH")]
-OptionalText = Annotated[str | None, arg(metavar="TEXT")]
-OptionalInteger = Annotated[int | None, arg(metavar="INT")]
-OptionalNumber = Annotated[float | None, arg(metavar="NUMBER")]
-
-Model = Annotated[OptionalText, arg(metavar="TABLE|MODEL")]
+Model = Annotated[str | None, arg(metavar="TABLE|MODEL")]
 Names = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME")]
 Direction = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 FieldFile = Annotated[tyro.conf.Positional[Path], arg(metavar="FIELD")]
 Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT ...]")]
 
+_METAVARS = {Path: "PATH", str: "TEXT", int: "INT", float: "NUMBER"}
 
-def titled(title: str) -> Any:
-    """Return the setting that gives a group of options, a nested dataclass, a title in the help."""
-    return tyro.conf.arg(name=title)
+
+def option_type(kind: Any) -> Any:
+    """Return the type of a field of a verb with how the help shows it: switches, and options that are None by default,
+    without the default."""
+    plain, *settings = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    if plain is bool:
+        settings = [arg(), *settings]
+    elif NoneType in get_args(plain) and (metavar := _METAVARS.get(get_args(plain)[0])):
+        settings = [arg(metavar=metavar), *settings]
+    return Annotated[(plain, *settings)] if settings else plain
 
 
 def check_number(option: str, value: float | None, least: float, most: float = math.inf) -> None:
@@ -49,7 +50,7 @@ def check_number(option: str, value: float | None, least: float, most: float = m
 class Common:
     """Options of all verbs."""
 
-    quiet: Flag = False
+    quiet: bool = False
     """Print nothing but warnings and errors."""
     as_json: Annotated[bool, arg(name="json")] = False
     """Print one JSON object on standard output instead of text, for other programs."""
@@ -59,7 +60,7 @@ class Common:
 class WritesCommon(Common):
     """Options of verbs that write files."""
 
-    overwrite: Flag = False
+    overwrite: bool = False
     """Replace existing outputs."""
 
 

@@ -26,6 +26,7 @@ from tyro.constructors import (
 )
 
 from scoup.cli.family import Family
+from scoup.cli.options import option_type
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
@@ -93,7 +94,9 @@ def _with_whole_texts(info: StructTypeInfo) -> StructConstructorSpec | None:
         default = field.default if field.default_factory is MISSING else field.default_factory()
         default = tyro.MISSING_NONPROP if default is MISSING else default
         options.append(
-            StructFieldSpec(field.name, hints[field.name], default, helptext=texts.get(field.name, ""))
+            StructFieldSpec(
+                field.name, option_type(hints[field.name]), default, helptext=texts.get(field.name, "")
+            )
         )
     return StructConstructorSpec(kind, tuple(options))
 

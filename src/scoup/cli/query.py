@@ -13,12 +13,8 @@ from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
-    Flag,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
     Texts,
-    titled,
+    arg,
 )
 from scoup.cli.query_options import (
     CameraOptions,
@@ -49,7 +45,7 @@ FRAMES, FRAMES_PER_SECOND = 120, 24.0  # of a video
 class DetectorOptions:
     """A model that looks for the texts."""
 
-    refine: OptionalText = None
+    refine: str | None = None
     """Look for the texts in photographs with a model, too: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
     sam3, or a folder or hub id of such a model. The photographs are those of --scene, else those beside the splat;
     cameras without one are rendered."""
@@ -68,28 +64,28 @@ class Query:
     """The .scoup file."""
     texts: Texts
     """What to look for, for example "kettle" "mug left of the laptop" "what is on the table" (docs/things.md)."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
     single files. none: query.json only."""
-    npz: Flag = False
+    npz: bool = False
     """Write relevancies and masks of each view as arrays, VIEW/relevancy.npz."""
-    coco: Flag = False
+    coco: bool = False
     """Write the masks of all views as coco.json: run lengths, boxes and scores."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the scene's unit in metres, to give positions and sizes in metres, too."""
-    longest_side: OptionalNumber = None
+    longest_side: float | None = None
     """Measures that length: the longest side of the first text's thing, in metres, such as the height of a door."""
     video: Literal["path", "turntable", "none"] = "none"
     """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
     around the thing. Needs scoup[video]."""
     answer: LevelOptions = LevelOptions()
-    detector: Annotated[DetectorOptions, titled("model with words")] = DetectorOptions()
+    detector: Annotated[DetectorOptions, arg(name="model with words")] = DetectorOptions()
     directions: FrameOptions = FrameOptions()
     view: CameraOptions = CameraOptions()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
@@ -204,7 +200,7 @@ class Query:
         progress: Progress,
     ) -> list[str]:
         """Write the requested videos; return their names."""
-        from scoup.pictures import save_video
+        from scoup.pictures import save_frames
         from scoup.query import heat_frames
 
         if self.video == "none":
@@ -215,7 +211,7 @@ class Query:
             if self.video == "turntable" and place.position is None:
                 continue
             frames = heat_frames(field, place, everywhere, self.video, FRAMES)
-            save_video(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
+            save_frames(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
             written.append(name)
         return written
 

@@ -15,16 +15,11 @@ from scoup.base import (
     UnknownNameError,
     listed,
     share_of,
-    verb,
 )
 from scoup.cli.options import (
     Direction,
-    Flag,
     Model,
     Names,
-    OptionalNumber,
-    OptionalPath,
-    OptionalText,
     arg,
 )
 
@@ -41,7 +36,7 @@ _SAME_FRAME = "check that cameras and splat are in the same frame"
 class FieldOptions:
     """Options of verbs that open a language field."""
 
-    gaussians: OptionalPath = None
+    gaussians: Path | None = None
     """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
     def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
@@ -102,7 +97,7 @@ class CameraOptions:
 
     camera: Names = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
-    scene: OptionalPath = None
+    scene: Path | None = None
     """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
 
     def all_cameras(self, field: LanguageField, path: Path) -> Cameras:
@@ -145,12 +140,12 @@ class CameraOptions:
         names = listed([camera.name for camera in blind])
         if blind and len(blind) == count:
             raise InputError(
-                f"{self.scene or path}: {verb(count, 'the camera sees', 'the cameras see')} nothing of the field "
+                f"{self.scene or path}: {'the camera sees' if count == 1 else 'the cameras see'} nothing of the field "
                 f"({names}); {_SAME_FRAME}"
             )
         if blind:
-            seen = f"{share_of(len(blind), count, 'camera')} {verb(len(blind), 'sees', 'see')} nothing of the field"
-            message = f"{seen} ({names}); {_SAME_FRAME}"
+            some, see = share_of(len(blind), count, "camera"), "sees" if len(blind) == 1 else "see"
+            message = f"{some} {see} nothing of the field ({names}); {_SAME_FRAME}"
             warnings.warn(message, ScoupWarning, stacklevel=2)
 
 
@@ -158,7 +153,7 @@ class CameraOptions:
 class WordOptions:
     """Options of verbs that name things."""
 
-    words: OptionalPath = None
+    words: Path | None = None
     """Words to name things with, one per line. Default: all words of the table of --text, else everyday words
     and names that a model gave."""
 
@@ -167,7 +162,7 @@ class WordOptions:
 class FrameOptions:
     """Options of verbs that understand relations between things."""
 
-    seen_from: Annotated[OptionalText, arg(metavar="CAMERA")] = None
+    seen_from: Annotated[str | None, arg(metavar="CAMERA")] = None
     """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
     up: Direction = None
     """The direction that is up. Default: estimated from the cameras, which people hold level."""
@@ -181,13 +176,13 @@ class FrameOptions:
 class AnswerOptions:
     """Options of verbs that answer texts and phrases."""
 
-    threshold: OptionalNumber = None
+    threshold: float | None = None
     """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
     in a field without things the Gaussians above the threshold at which the answer changes least."""
-    presence: OptionalNumber = None
+    presence: float | None = None
     """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
     lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
+    always: bool = False
     """Answer every text, without judging presence."""
 
     def rules(self) -> dict[str, Any]:
@@ -199,7 +194,7 @@ class AnswerOptions:
 class LevelOptions(AnswerOptions):
     """Options of verbs with a choice of the level that answers."""
 
-    level: OptionalText = None
+    level: str | None = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
 
     def rules(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from scoup.base import InputError, counted, staged, unique_slugs
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalPath, OptionalText, titled
+from scoup.cli.options import AllCommon, FieldFile, arg
 from scoup.cli.query_options import CameraOptions, TextOptions, output_folder
 
 if TYPE_CHECKING:
@@ -32,24 +32,24 @@ class Render:
     """The .scoup file."""
     what: Literal["color", "codes", "relevancy"] = "color"
     """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""
-    query: OptionalText = None
+    query: str | None = None
     """The text whose relevancy is drawn, with --what relevancy."""
-    level: OptionalText = None
+    level: str | None = None
     """Level of the codes: s (fine), m or l (coarse); relevancy takes the level that answers best. Default: m."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder, .png (one view), .webp or .gif (animation). Default: folder <name of FIELD>_<what> here."""
-    plain: Flag = False
+    plain: bool = False
     """Only the pixels of the camera, at exactly its size: no title, no legend. For other programs."""
     scale: float = 1.0
     """Size of the pictures relative to the cameras' own."""
     view: CameraOptions = CameraOptions()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
         from scoup.io import save_png
-        from scoup.pictures import save_animation
+        from scoup.pictures import save_frames
         from scoup.query import drawing
 
         kind = "" if self.out is None else self.out.suffix.lower()
@@ -80,7 +80,7 @@ class Render:
                 progress("render", done + 1, len(cameras))
             self.view.check_seen(self.field, blind, len(cameras))
             if animation:
-                save_animation(frames, hidden / out.name, FRAMES_PER_SECOND)
+                save_frames(frames, hidden / out.name, FRAMES_PER_SECOND)
         console.say(f"{counted(len(cameras), 'view')} rendered to {out}")
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 

@@ -12,13 +12,10 @@ from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
-    Flag,
     Names,
-    OptionalNumber,
-    OptionalPath,
     Texts,
+    arg,
     check_number,
-    titled,
 )
 from scoup.cli.query_options import (
     CameraOptions,
@@ -38,7 +35,7 @@ if TYPE_CHECKING:
 class ShapeOptions:
     """Changes to the selection before it is used."""
 
-    largest: Flag = False
+    largest: bool = False
     """Keep only the largest connected component of the selection."""
     shrink: int = 0
     """Remove Gaussians with a neighbour outside the selection, this many times."""
@@ -80,15 +77,15 @@ class Select:
     """Colour for --edit recolor, #rrggbb. Light and shade stay."""
     opacity: float = 0.15
     """Factor of the opacities for --edit fade, 0 to 1."""
-    picture: OptionalPath = None
+    picture: Path | None = None
     """Write a .png of the scene before, the selection, and the scene after."""
-    metres_per_unit: OptionalNumber = None
+    metres_per_unit: float | None = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
     answer: LevelOptions = LevelOptions()
     shape: ShapeOptions = ShapeOptions()
     directions: FrameOptions = FrameOptions()
     view: PictureViews = PictureViews()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:

@@ -11,7 +11,7 @@ import tyro
 from scoup.base import InputError, counted
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, OptionalPath, arg, titled
+from scoup.cli.options import AllCommon, FieldFile, arg
 from scoup.cli.query_options import FieldOptions
 
 
@@ -27,9 +27,9 @@ class Transfer:
     """The .scoup file."""
     splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
     """The edited splat, in the frame of the field's own."""
-    out: OptionalPath = None
+    out: Path | None = None
     """The field to write. Default: <name of SPLAT>.scoup here."""
-    opening: Annotated[FieldOptions, titled("field")] = FieldOptions()
+    opening: Annotated[FieldOptions, arg(name="field")] = FieldOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:

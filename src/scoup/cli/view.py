@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from scoup.base import InputError, counted
 from scoup.cli.console import Console
-from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalInteger, OptionalPath, check_number, titled
+from scoup.cli.options import AllCommon, FieldFile, arg, check_number
 from scoup.cli.query_options import TextOptions
 from scoup.cli.stop import Terminated
 
@@ -23,13 +23,13 @@ _MEGABYTE = 1e6
 class PageOptions:
     """Contents of the page."""
 
-    words: OptionalPath = None
+    words: Path | None = None
     """File of words, one per line: the choices of a click, and all that an exported page can be asked. Default:
     everyday words, or all names of a word table."""
     most: int = 1_000_000
     """Most Gaussians that the page shows; neighbours are merged until no more are left. From 250,000 on, a live page
     shows up to as many again unmerged where the camera is near. Pictures of the server show all."""
-    remote: Flag = False
+    remote: bool = False
     """Send only rendered pictures: for scenes too large for the browser."""
 
 
@@ -39,7 +39,7 @@ class ServerOptions:
 
     host: str = "127.0.0.1"
     """Address to bind to. 0.0.0.0 admits other machines: all that know the address, which contains a token."""
-    port: OptionalInteger = None
+    port: int | None = None
     """Port to bind to; 0 takes any. Default: 8350 or, if that is in use, any."""
 
 
@@ -47,9 +47,9 @@ class ServerOptions:
 class ExportOptions:
     """A page without a server."""
 
-    export: OptionalPath = None
+    export: Path | None = None
     """Write a page to this HTML file, and exit."""
-    split: Flag = False
+    split: bool = False
     """With --export: a folder, with the data in files beside the page."""
 
 
@@ -65,8 +65,8 @@ class View:
     """The .scoup file."""
     page: PageOptions = PageOptions()
     server: ServerOptions = ServerOptions()
-    exported: Annotated[ExportOptions, titled("export")] = ExportOptions()
-    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    exported: Annotated[ExportOptions, arg(name="export")] = ExportOptions()
+    opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> int:

@@ -10,14 +10,14 @@ import tyro
 
 from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, WritesCommon, arg
+from scoup.cli.options import Direction, WritesCommon, arg
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnViews:
     """Settings of the views."""
 
-    views: OptionalInteger = None
+    views: int | None = None
     """Number of views. Default: as many as still show something new."""
     width: int = 960
     """Width of the views, in pixels."""
@@ -25,7 +25,7 @@ class OwnViews:
     """Height of the views, in pixels."""
     up: Direction = None
     """The direction that is up in the splat. Default: estimated from its floors and tables."""
-    keep_axes: Flag = False
+    keep_axes: bool = False
     """Take the up direction in the axes of the file, for .spz and glTF of programs that keep the numbers of the PLY."""
 
 
@@ -39,7 +39,7 @@ class MakeViews:
 
     splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
     """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
-    out: OptionalPath = None
+    out: Path | None = None
     """The scene folder to write: transforms.json, images, and views.png, a sheet of all views. Default: <name of
     SPLAT>_views here."""
     view: OwnViews = OwnViews()
@@ -60,13 +60,14 @@ class MakeViews:
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import find_cameras, has_cameras, load_gaussians, splat_source
+        from scoup.io import ScenePaths, load_gaussians, splat_source
 
         splat = splat_source(self.splat)
         source = splat.path
         out = self.out or Path(f"{source.stem}_views")
         check_output(out / TRANSFORMS, out / SHEET, overwrite=self.common.overwrite)
-        if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
+        there = ScenePaths(out)
+        if there.has_cameras and there.cameras().path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         gaussians, view = load_gaussians(source), self.view
         up = view.up

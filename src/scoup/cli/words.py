@@ -7,7 +7,7 @@ from pathlib import Path
 
 from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command
-from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath
+from scoup.cli.options import CLIP_MODEL, AllCommon
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class MakeWords:
     model: str = CLIP_MODEL
     """The model that embedded the regions: a folder or hub id of a CLIP, SigLIP or TIPSv2, or
     open_clip:ARCH/PRETRAINED."""
-    words: OptionalPath = None
+    words: Path | None = None
     """File of words to ask for, one per line. Default: everyday words alone."""
     out: Path = Path("words.npz")
     """The table to write, an .npz file."""

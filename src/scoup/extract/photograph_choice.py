@@ -17,7 +17,7 @@ from scoup.extract import constants
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter
 from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
-from scoup.io import find_cameras, find_splat, load_cameras, load_gaussians, read_points, spread_directions
+from scoup.io import ScenePaths, load_cameras, load_gaussians, read_points, spread_directions
 from scoup.raster import prepare_gaussians
 from scoup.scene import Camera, Gaussians, nearest_points
 from scoup.uplift import Verdict, fit_problem, measure_fit
@@ -145,10 +145,11 @@ def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
 
 def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
     """Return the splat, which must fit the cameras, or COLMAP's points as Gaussians."""
+    paths = ScenePaths(scene)
     try:
-        source = find_splat(scene, splat)
+        source = paths.splat(splat)
     except InputError:
-        cameras_of = find_cameras(scene)
+        cameras_of = paths.cameras()
         if splat is not None or cameras_of.format != "colmap":
             raise
         return points_as_gaussians(read_points(cameras_of.path)[0])

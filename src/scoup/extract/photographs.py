@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base import ScoupError, file_sha256, worked_ahead
-from scoup.io import DYNAMIC_MASK, open_image, rgb_image, scene_photographs
+from scoup.io import DYNAMIC_MASK, ScenePaths, open_image, rgb_image
 
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
@@ -66,7 +66,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         MissingFileError: there is no scene, or no photograph.
         FileFormatError: a file of cameras is damaged, or photographs have another shape than their cameras.
     """
-    return [Photograph(*item) for item in scene_photographs(Path(scene), images)]
+    return [Photograph(*item) for item in ScenePaths(Path(scene)).photographs(images)]
 
 
 def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:

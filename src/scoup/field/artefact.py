@@ -10,9 +10,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base import InputError, WriteError, array_checksum, atomic_path, check_output, sealed
+from scoup.base import InputError, SealedFile, WriteError, atomic_path, check_output
 from scoup.field.checks import MOST_THINGS
-from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_content, relative_place
+from scoup.field.container import SCHEMA, VERSION, place_of, read_content, relative_place
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
 from scoup.scene import Camera, Cameras, Gaussians
@@ -62,7 +62,6 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
     header = {
         "schema": SCHEMA,
         "version": VERSION,
-        "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()},
         "levels": list(parts.info.levels),
         "embedding_model": parts.info.embedding_model,
         "words": relative_place(path, parts.info.words),
@@ -77,7 +76,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         **({} if names is None else {"names": list(names.texts)}),
     }
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = {METADATA_KEY: sealed(header)}
+    metadata = SealedFile.metadata(header, {name: tensor.numpy() for name, tensor in tensors.items()})
     with atomic_path(path, overwrite) as temporary:
         _write(temporary, tensors, metadata)
 
@@ -116,11 +115,6 @@ def read_field(path: Path) -> FieldParts:
         _cameras(tensors, header["cameras"]),
         _things(tensors, header.get("names")),
     )
-
-
-def tensor_checksum(tensor: Tensor) -> str:
-    """Return ``array_checksum`` of a tensor on the CPU."""
-    return array_checksum(tensor.contiguous().numpy())
 
 
 def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:

@@ -12,19 +12,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from scoup.base import (
-    FileFormatError,
-    array_checksum,
-    check_format_version,
-    existing_file,
-    is_sealed,
-    safetensors_damage_named,
-)
+from scoup.base import FileFormatError, SealedFile, check_format_version
 from scoup.field.content import check_content
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
-METADATA_KEY = "scoup"
 REBUILD = "build the field again, or copy the file again if it was cut short"
 _WHAT = "a SCOUP language field"
 
@@ -45,35 +37,26 @@ def read_content(path: Path) -> FieldContent:
         FieldVersionError: it is of a newer version.
         FileFormatError: it is not a language field, or damaged.
     """
-    from safetensors import safe_open
-
-    existing_file(path, _WHAT)
-    with safetensors_damage_named(path, _WHAT, REBUILD), open(path, "rb") as start:
-        if start.read(9)[8:] != b"{":  # of the header of any safetensors file
-            raise FileFormatError(path, f"is not {_WHAT}", "pass a .scoup file; scoup build writes one")
-    with safetensors_damage_named(path, _WHAT, REBUILD), safe_open(path, framework="numpy") as stream:
-        text = (stream.metadata() or {}).get(METADATA_KEY, "{}")
-        header = json.loads(text)
+    with SealedFile.open(path, _WHAT, REBUILD, "pass a .scoup file; scoup build writes one") as file:
+        header = json.loads(file.text)
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, f"is a safetensors file, but not {_WHAT}", "check the path")
-        arrays = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+        arrays = {name: file.stream.get_tensor(name) for name in file.stream.keys()}  # noqa: SIM118
     with field_damage_named(path):
         check_format_version(path, header["version"], VERSION)
-        _check_sums(path, text, header, arrays)
+        _check_sums(file, header, arrays)
         check_content(header, arrays)
     return FieldContent(header, arrays)
 
 
-def _check_sums(path: Path, text: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_sums(file: SealedFile, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Compare the header and all arrays of a file with their checksums."""
-    if not is_sealed(text, header["checksum"]):
-        raise FileFormatError(path, "is damaged (checksum of the header)", REBUILD)
+    file.check_header(header["checksum"])
     checksums = header["checksums"]
     if checksums.keys() != arrays.keys():
-        raise FileFormatError(path, "is damaged (its header names other tensors)", REBUILD)
+        raise FileFormatError(file.path, "is damaged (its header names other tensors)", REBUILD)
     for name, array in arrays.items():
-        if array_checksum(array) != checksums[name]:
-            raise FileFormatError(path, f"is damaged (checksum of {name})", REBUILD)
+        file.check_array(name, array, checksums[name])
 
 
 def relative_place(path: Path, target: Path | None) -> str | None:

@@ -5,15 +5,13 @@ nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one
 """
 
 from scoup.io.camera_images import attach_images
-from scoup.io.camera_sources import find_cameras, has_cameras, scene_folder
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
-from scoup.io.coco import CocoAnnotations
 from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
 from scoup.io.gaussian_features import read_features
 from scoup.io.image_folder import DYNAMIC_MASK
-from scoup.io.images import ANY_PIXELS, load_image, open_image, read_mask, rgb_image, save_label_png, save_png
+from scoup.io.images import ANY_PIXELS, load_image, open_image, rgb_image, save_png
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.io.regions.convert import convert_regions
@@ -22,8 +20,8 @@ from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions
-from scoup.io.scene_parts import find_features, find_splat
-from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians, scene_photographs
+from scoup.io.scene_parts import ScenePaths
+from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians
 from scoup.io.similarity import read_similarity
 from scoup.io.splats.formats import (
     is_splat_name,
@@ -44,12 +42,12 @@ __all__ = [
     "ANY_PIXELS",
     "DYNAMIC_MASK",
     "MAX_IMAGE_SIDE",
-    "CocoAnnotations",
     "Decoder",
     "DetectionStore",
     "PlyTable",
     "RegionManifest",
     "RegionStore",
+    "ScenePaths",
     "SplatFormat",
     "UsdThing",
     "ViewRegions",
@@ -57,10 +55,6 @@ __all__ = [
     "attach_images",
     "convert_regions",
     "describe",
-    "find_cameras",
-    "find_features",
-    "find_splat",
-    "has_cameras",
     "is_splat_name",
     "load_cameras",
     "load_gaussians",
@@ -71,18 +65,14 @@ __all__ = [
     "read_features",
     "read_json",
     "read_langsplat",
-    "read_mask",
     "read_points",
     "read_similarity",
     "read_tracks",
     "read_words",
     "rgb_image",
     "save_gaussians",
-    "save_label_png",
     "save_png",
     "save_regions",
-    "scene_folder",
-    "scene_photographs",
     "splat_source",
     "spread_directions",
     "write_colmap",

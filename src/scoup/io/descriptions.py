@@ -15,7 +15,7 @@ from scoup.io.images import image_fault
 from scoup.io.reading import read_json
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scene_parts import find_features
+from scoup.io.scene_parts import ScenePaths
 from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, is_splat_name, other_format, read_endings, splat_source
 from scoup.scene import Cameras, Gaussians, codes_problem, sanity_problems
@@ -146,7 +146,7 @@ def _warn_of_codes(dims: Iterable[int]) -> None:
 
 def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
     """Return the regions of cameras; where a build would find none, it warns of the reason."""
-    folder = find_features(path, to_make=True)
+    folder = ScenePaths(path).features(to_make=True)
     if not folder.is_dir():
         return {}
     try:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file, refused_read
+from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene import Camera
@@ -43,7 +43,7 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
             width, height = image.size
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         if isinstance(error, OSError) and error.errno is not None:
-            raise refused_read(path, error) from error
+            raise FileFormatError.unreadable(path, error) from error
         raise FileFormatError(
             path, "is not an image that can be read", "copy it again, or remove it"
         ) from error
@@ -103,15 +103,6 @@ def load_image(camera: Camera) -> Tensor:
     return sample_bilinear(image, photograph_pixels(camera, image.shape[1], image.shape[0]))
 
 
-def read_mask(path: str | Path, above: int) -> np.ndarray:
-    """Return [H, W] boolean: where an image, turned to grey, is brighter than ``above`` (0..255)."""
-    path = existing_file(path, "a mask")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with open_image(path) as image:
-            return np.asarray(rgb_image(image).convert("L")) > above
-
-
 def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = False) -> None:
     """Write a PNG: [H, W, 3] or [H, W, 4] uint8 colour, [H, W] uint8 grey, or [H, W] bool (true is white)."""
     from PIL import Image
@@ -130,27 +121,6 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
         )
     with atomic_file(path, overwrite) as stream:
         Image.fromarray(np.ascontiguousarray(array)).save(stream, format="PNG")
-
-
-def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
-    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
-
-    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
-    picture of 16 bits.
-    """
-    from PIL import Image
-
-    array = numbers.cpu().numpy() if isinstance(numbers, Tensor) else np.asarray(numbers)
-    count = len(colors)
-    if array.ndim != 2 or not array.size or array.min() < -1 or array.max() >= count or count > 65535:
-        raise InputError(f"{path}: a map of numbers is [H, W], each -1 to {count - 1}")
-    if count > 255:
-        picture = Image.fromarray((array + 1).astype(np.uint16))
-    else:
-        picture = Image.fromarray((array + 1).astype(np.uint8))
-        picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
-    with atomic_file(path) as stream:
-        picture.save(stream, format="PNG")
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, existing_file, refused_read
+from scoup.base import FileFormatError, existing_file
 
 _MOST_OF_HEADER = 1 << 16  # bytes; numpy takes fewer
 _REMEDY = "the file is cut short or damaged; write it again"
@@ -22,7 +22,7 @@ def open_npy(path: str | Path, what: str) -> np.ndarray:
             raise ValueError("too long a header")  # numpy would take that much memory before it reads
         array = np.lib.format.open_memmap(path, mode="r")
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     except Exception as error:  # damaged headers raise nearly everything inside numpy
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]  # numpy repeats the header
         problem = f"is not a .npy file of plain numbers, or is damaged ({reason})"

@@ -24,7 +24,6 @@ from scoup.base import (
     MissingFileError,
     ScoupWarning,
     existing_file,
-    refused_read,
 )
 from scoup.scene import Camera, Cameras
 
@@ -42,7 +41,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
 
 
 def read_text(path: Path) -> str:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, check_arguments, counted
-from scoup.io.camera_images import MissingImages, attach_images, folder_photographs, image_files
+from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
+from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.nerfstudio import read_transforms
@@ -203,25 +202,6 @@ def camera_photographs(
     Arguments as of ``load_cameras``."""
     source = find_cameras(path)
     return image_files(_read(source, "undistort"), source.roots, images)
-
-
-def scene_photographs(scene: Path, images: str | Path | None = None) -> list[tuple[str, Path, Path | None]]:
-    """Return name, file and mask of the photographs of a scene: those of its cameras, as ``camera_photographs``, or
-    without cameras all of its folder, as ``folder_photographs``."""
-    if not scene.exists():
-        raise MissingFileError(scene, "there is no such scene", "check the path")
-    with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        named, searched = camera_photographs(scene, images)
-        if named and searched:
-            message = f"{scene}: cameras without a photograph have no regions ({searched})"
-            warnings.warn(message, ScoupWarning, stacklevel=3)
-        if not named:
-            problem = f"has cameras, but none of their photographs was found ({searched})"
-            raise FileFormatError(
-                scene, problem, "pass the folder that their names are relative to as `images`"
-            )
-        return named
-    return [(name, path, None) for name, path in folder_photographs(scene, images).items()]
 
 
 def _read(source: CameraSource, distorted: Distorted) -> Cameras:

@@ -6,56 +6,45 @@ and says which text space its embeddings are in.
 
 from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
-from scoup.models.dense import DENSE_PREFIX, open_dense_model
-from scoup.models.entry import HubEntry, ModelEntry
-from scoup.models.hub import OPEN_CLIP, ModelIdentity
-from scoup.models.image import open_image_model
-from scoup.models.mobile_sam import MOBILE_SAM_FILE
-from scoup.models.sam import MOBILE_SAM, EncodedImage, PointModel, open_sam
+from scoup.models.dense import open_dense_model
+from scoup.models.embedders import embedder_table
+from scoup.models.entry import ModelEntry
+from scoup.models.hub import ModelIdentity
+from scoup.models.sam import EncodedImage, PointModel, open_sam, segmenter_table
 from scoup.models.text import (
     ARTICLES,
-    COLORS,
     LONGEST,
-    NO_WORDS_FOR_COLORS,
     Encoder,
     TextEncoder,
     check_model,
+    words_problem,
 )
-from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 
 __all__ = [
-    "ANY_OPEN_CLIP",
     "ARTICLES",
     "CANONICAL_PHRASES",
-    "COLORS",
     "CONCEPTS",
-    "DENSE_PREFIX",
     "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
-    "GROUP",
-    "HUB",
     "LEAST_WORDS",
     "LONGEST",
-    "MOBILE_SAM",
-    "MOBILE_SAM_FILE",
-    "NO_WORDS_FOR_COLORS",
-    "OPEN_CLIP",
     "ConceptModel",
     "EncodedImage",
     "Encoder",
-    "HubEntry",
     "ModelEntry",
     "ModelIdentity",
     "PointModel",
     "TextEncoder",
     "WordTable",
     "check_model",
+    "embedder_table",
     "open_concepts",
     "open_dense_model",
-    "open_image_model",
     "open_sam",
+    "segmenter_table",
     "with_everyday",
+    "words_problem",
 ]
 
 # The list is read when it is needed.

@@ -16,13 +16,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.base import ScoupError
+from scoup.models.entry import DENSE_PREFIX
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.image import WITHOUT_MODEL, usual_dtype
 from scoup.models.normalization import Normalization
 from scoup.models.towers import Tower, as_patches, load_tower, normalization_of
 from scoup.models.windows import mean_of_windows
-
-DENSE_PREFIX = "dense:"  # before the model in an embedder's name
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ Encode = Callable[[list[str]], Tensor]
 Texts = tuple[Encode, ModelIdentity]
 """The text half of an embedder, and what its vectors depend on."""
 Device = torch.device | str
+DENSE_PREFIX = "dense:"  # before the model in the name of an embedder that is run densely
 _HUB_ID = re.compile(r"[\w.-]+/[\w.-]+")
 
 
@@ -41,6 +42,10 @@ class ModelEntry(Entry):
     def model_id(self, name: str) -> str:
         """Return the hub id that a name of this entry is short for, or else the name."""
         return name if self.file is None else self.file[0]
+
+    def is_recorded(self, name: str, recorded: object) -> bool:
+        """Return whether a manifest's ``recorded`` model, which it names by its hub id, is that of a name."""
+        return recorded in (name, name.removeprefix(DENSE_PREFIX), self.model_id(name))
 
     def cells(self) -> dict[str, str]:
         """Return column -> text, of all but ``help`` and ``weights``."""

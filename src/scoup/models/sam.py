@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.base import MissingFileError, ScoupError, file_sha256, refuse_pointer
+from scoup.base import MissingFileError, Registry, ScoupError, file_sha256, refuse_pointer
+from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
 from scoup.models.mobile_sam import CHECKPOINT_URL, MOBILE_SAM_FILE, sam_of_checkpoint
 from scoup.models.normalization import HALF, IMAGENET, Normalization
@@ -244,3 +245,28 @@ def _class_of(transformers: Any, model_type: str) -> Any:
 
 def _resize(logits: Tensor, size: tuple[int, int]) -> Tensor:
     return functional.interpolate(logits[:, None], size, mode="bilinear", align_corners=False)[:, 0]
+
+
+def segmenter_table(open: Callable[..., Any], *others: ModelEntry) -> Registry[ModelEntry]:
+    """Return the table of segmenters: SAM models, which ``open`` opens, and others."""
+
+    def sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
+        file = (f"facebook/{hub_id}", "model.safetensors")
+        return ModelEntry(name, open, size=size, file=file, help=help, licence=licence, extra="models")
+
+    return Registry("segmenter", "scoup.segmenters", ModelEntry, (
+        ModelEntry(
+            MOBILE_SAM, open, size="41 MB", seconds=5.1, file=MOBILE_SAM_FILE, licence="Apache-2.0", extra="models",
+            help="MobileSAM: the default without a GPU (8.5 s without AVX-512 BF16)",
+        ),
+        sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
+        sam("sam-vit-l", "sam-vit-large", "SAM ViT-L", "1.2 GB"),
+        sam("sam-vit-h", "sam-vit-huge", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
+        sam("sam2.1-tiny", "sam2.1-hiera-tiny", "SAM 2.1 Hiera-T", "156 MB"),
+        sam("sam2.1-small", "sam2.1-hiera-small", "SAM 2.1 Hiera-S", "184 MB"),
+        sam("sam2.1-base-plus", "sam2.1-hiera-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
+        sam("sam2.1-large", "sam2.1-hiera-large", "SAM 2.1 Hiera-L", "898 MB"),
+        sam("sam3", "sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
+        HubEntry("FOLDER or hub id", open, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
+        *others,
+    ))  # fmt: skip

@@ -21,18 +21,17 @@ from scoup.base import (
     check_arguments,
     counted,
     listed,
-    quoted,
 )
 from scoup.models import words
+from scoup.models.embedders import TEXT_MODELS, open_text_model
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity
-from scoup.models.text_models import TEXT_MODELS, open_text_model
+from scoup.models.plain_colors import COLORS
 from scoup.models.word_cache import PROBE, everyday_vectors
 from scoup.models.word_table import WordTable, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 
-COLORS = "colors"  # name of embeddings made without a model (``extract.plain_colors``)
-NO_WORDS_FOR_COLORS = (
+_NO_WORDS = (
     "these regions were embedded by their colours, without a model, and cannot be queried in words; "
     "extract them with a CLIP model as embedder and build the field again"
 )
@@ -145,7 +144,7 @@ class TextEncoder:
         if WordTable.is_meant(text):
             return cls._of_table(WordTable.load(text), text)
         if text == COLORS:
-            raise ScoupError(NO_WORDS_FOR_COLORS)
+            raise ScoupError(_NO_WORDS)
         refuse_other_file(text)
         encode, identity = open_text_model(text, revision, device)
         probe = _encoded(encode, [PROBE])
@@ -192,7 +191,8 @@ class TextEncoder:
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
             if len(phrase) > LONGEST:
                 raise InputError(
-                    f"{quoted(phrase)}: is too long for a phrase; pass at most {LONGEST:,} characters"
+                    f"{phrase[:80]!r}... ({len(phrase):,} characters): is too long for a phrase; pass at most "
+                    f"{LONGEST:,} characters"
                 )
         if not phrases:
             return torch.zeros(0, self.dim)
@@ -271,6 +271,11 @@ def word_forms(phrase: str) -> list[str]:
         if bare.endswith(ending) and len(bare) > len(ending) + 1
     ]
     return list(dict.fromkeys([folded, bare, *singular]))
+
+
+def words_problem(embedding_model: str) -> str:
+    """Return why no text can be compared with embeddings of a model; "" where one can."""
+    return _NO_WORDS if embedding_model == COLORS else ""
 
 
 def check_model(name: str) -> None:

@@ -3,7 +3,6 @@
 All functions take arrays or tensors and return [H, W, 3] uint8.
 """
 
-from scoup.pictures.animation import save_animation
 from scoup.pictures.colors import Picture, as_picture, code_basis, code_picture, label_colors
 from scoup.pictures.legends import heat_legend, swatch_legend
 from scoup.pictures.lettering import captioned
@@ -17,7 +16,7 @@ from scoup.pictures.overlays import (
 )
 from scoup.pictures.region_sheet import regions_sheet
 from scoup.pictures.sheet import contact_sheet, sheet_tile
-from scoup.pictures.video import check_video_writer, save_video
+from scoup.pictures.video import check_video_writer, save_frames
 
 __all__ = [
     "Picture",
@@ -35,8 +34,7 @@ __all__ = [
     "mask_overlay",
     "region_overlay",
     "regions_sheet",
-    "save_animation",
-    "save_video",
+    "save_frames",
     "sheet_tile",
     "swatch_legend",
     "texts_overlay",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,10 @@ from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
 
 
-def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
+def save_animation(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
     """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; lower
     ones, with shorter titles, get a margin above."""
+    frames = [*frames]
     height = max(frame.shape[0] for frame in frames)
     margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
     pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base import InputError, ScoupError, WriteError
+from scoup.pictures.animation import save_animation
 from scoup.pictures.colors import Picture
 
 QUALITY = 7  # of imageio-ffmpeg, 0 to 10
 HOW_TO_GET_IT = "videos need the package imageio-ffmpeg: pip install 'scoup[video]', and run again"
+
+
+def save_frames(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
+    """Write pictures one after the other: .mp4 by ``save_video``, .webp and .gif by ``save_animation``."""
+    save = save_video if path.suffix.lower() == ".mp4" else save_animation
+    save(frames, path, frames_per_second)
 
 
 def check_video_writer() -> None:

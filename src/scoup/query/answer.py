@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
-from scoup.base import card, listed, verb
+from scoup.base import card, listed
 from scoup.field import Field
 from scoup.query.expression import Expression
 from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
@@ -83,7 +83,7 @@ class Answer:
     def numbered(self) -> str:
         """Return the numbers of its things for a sentence, after a comma: ", things 3, 5"; "" without things."""
         numbers = ", ".join(map(str, self.things))
-        return numbers and f", {verb(len(self.things), 'thing', 'things')} {numbers}"
+        return numbers and f", {'thing' if len(self.things) == 1 else 'things'} {numbers}"
 
     def remark(self) -> str:
         """Return score and certainty in a few words."""

@@ -13,8 +13,9 @@ from PIL import Image
 from torch import Tensor
 
 from scoup.base import InputError, counted, unique_slugs, write_npz
-from scoup.io import CocoAnnotations, save_png
+from scoup.io import save_png
 from scoup.pictures import Picture, answer_overlay, as_picture, contact_sheet, heat_legend
+from scoup.query.coco import CocoAnnotations
 from scoup.query.view_answer import ViewAnswer
 from scoup.scene import Camera
 

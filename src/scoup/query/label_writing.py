@@ -10,12 +10,15 @@ from typing import Literal
 
 import numpy as np
 import torch
+from PIL import Image
+from torch import Tensor
 
-from scoup.base import Progress, atomic_file, no_progress, spread, unique_slugs, write_text
+from scoup.base import InputError, Progress, atomic_file, no_progress, spread, unique_slugs, write_text
 from scoup.field import Field
-from scoup.io import CocoAnnotations, PlyTable, UsdThing, save_label_png, save_png, write_usd
+from scoup.io import PlyTable, UsdThing, save_png, write_usd
 from scoup.pictures import Picture, label_colors, region_overlay
 from scoup.query.boxes import PointSets
+from scoup.query.coco import CocoAnnotations
 from scoup.query.edits import SplatTable, edited
 from scoup.query.field_view import FieldView
 from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, label_map, label_sheet
@@ -140,6 +143,25 @@ def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:
         )
         if box is not None
     ]
+
+
+def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
+    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
+
+    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
+    picture of 16 bits.
+    """
+    array = numbers.cpu().numpy() if isinstance(numbers, Tensor) else np.asarray(numbers)
+    count = len(colors)
+    if array.ndim != 2 or not array.size or array.min() < -1 or array.max() >= count or count > 65535:
+        raise InputError(f"{path}: a map of numbers is [H, W], each -1 to {count - 1}")
+    if count > 255:
+        picture = Image.fromarray((array + 1).astype(np.uint16))
+    else:
+        picture = Image.fromarray((array + 1).astype(np.uint8))
+        picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
+    with atomic_file(path) as stream:
+        picture.save(stream, format="PNG")
 
 
 def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:

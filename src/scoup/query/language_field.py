@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar, overload
 
 from scoup.base import InputError, MissingFileError, check_arguments
 from scoup.field import Field
-from scoup.models import COLORS, NO_WORDS_FOR_COLORS, Encoder, TextEncoder
+from scoup.models import Encoder, TextEncoder, words_problem
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.ask import answers_of, things_of_question
 from scoup.query.catalog import Catalog, make_catalog
@@ -134,8 +134,8 @@ class LanguageField(Field):
             return str(words)
         if not self.embedding_model:
             raise InputError(f"{name}: names no embedding model; pass a word table or model as `words`")
-        if self.embedding_model == COLORS:
-            raise InputError(f"{name}: {NO_WORDS_FOR_COLORS}")
+        if problem := words_problem(self.embedding_model):
+            raise InputError(f"{name}: {problem}")
         return self.embedding_model
 
     @property

@@ -16,11 +16,10 @@ from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counte
 from scoup.field import Field, NameTable, number_of
 from scoup.models import (
     CANONICAL_PHRASES,
-    COLORS,
     LEAST_WORDS,
-    NO_WORDS_FOR_COLORS,
     TextEncoder,
     with_everyday,
+    words_problem,
 )
 from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
@@ -357,8 +356,8 @@ def _words_of(model: str) -> set[str]:
 def _where_words_are(field: Field, other: TextEncoder) -> str:
     """Return the remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
     named = field.embedding_model
-    if named == COLORS:
-        return NO_WORDS_FOR_COLORS
+    if problem := words_problem(named):
+        return problem
     table = f"a word table of {field.dim} dimensions, made with the model that embedded its regions"
     if field.dim < LEAST_EMBEDDING:
         table += "; if they are codes of an autoencoder, decode them (scoup convert with `autoencoder`) and build again"

@@ -23,7 +23,7 @@ from scoup.scene.directions import (
     query_vectors,
     rotation_matrices,
 )
-from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, TENSORS, Gaussians, chosen_rows
+from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians, chosen_rows
 from scoup.scene.harmonics import sh_basis
 from scoup.scene.neighbours import linked_parts, nearest_points
 from scoup.scene.regions import (
@@ -42,7 +42,6 @@ __all__ = [
     "LEVELS",
     "MAX_SH_DEGREE",
     "SH_C0",
-    "TENSORS",
     "Camera",
     "Cameras",
     "Detections",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.base import share_of, verb
+from scoup.base import share_of
 from scoup.scene.gaussians import Gaussians
 
 LARGE = 100.0  # times the extent of the scene: more than the sky of any outdoor scene
@@ -32,16 +32,16 @@ def sanity_problems(gaussians: Gaussians) -> list[str]:
         large = int((scales > LARGE * extent).sum())
         far = int((np.abs(means - middle).max(1) > FAR * extent).sum())
         if large:
-            some = f"{share_of(large, total, 'Gaussian')} {verb(large, 'is', 'are')}"
+            some = f"{share_of(large, total, 'Gaussian')} {'is' if large == 1 else 'are'}"
             problems.append(f"{some} over {LARGE:.0f} times larger than the scene; {_REMEDY}")
         if far:
-            some = f"{share_of(far, total, 'Gaussian')} {verb(far, 'is', 'are')}"
+            some = f"{share_of(far, total, 'Gaussian')} {'is' if far == 1 else 'are'}"
             problems.append(f"{some} over {FAR:,.0f} times the scene's size away from it; {_REMEDY}")
     if float(gaussians.opacities.nan_to_num(0).max()) < FAINT:
+        every = "the only Gaussian is" if total == 1 else f"all {total:,} Gaussians are"
         problems.append(
-            f"{verb(total, 'the only Gaussian is', f'all {total:,} Gaussians are')} transparent (no opacity reaches "
-            "1/255), so nothing is visible; export the splat again, with opacities as training left them (in a PLY as "
-            "logits)"
+            f"{every} transparent (no opacity reaches 1/255), so nothing is visible; export the splat again, with "
+            "opacities as training left them (in a PLY as logits)"
         )
     if gaussians.antialiased:
         problems.append(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from torch import Tensor
 
-from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, release_memory, temporary_folder
+from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, temporary_folder
 from scoup.field import Field, FieldInfo, ThingTable
 from scoup.scene import Cameras, Gaussians, Regions, sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model
-from scoup.uplift.rasterise import cameras_with_regions, check_sums, region_sums
+from scoup.uplift.rasterise import cameras_with_regions, check_sums, region_sums, release_memory
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest
 from scoup.uplift.settings import BuildSettings, build_settings
 from scoup.uplift.stored_sums import RegionSums

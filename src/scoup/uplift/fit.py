@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import InputError, ScoupWarning, listed, share_of, verb
+from scoup.base import InputError, ScoupWarning, listed, share_of
 from scoup.scene import Camera, Gaussians
 from scoup.uplift.similarity import (
     LEAST_COVERED,
@@ -142,11 +142,14 @@ class Fit:
         said = []
         if blind:
             some = share_of(len(blind), len(self.names), "camera tried", "cameras tried")
-            said.append(f"{some} {verb(len(blind), 'sees', 'see')} nothing of the splat ({listed(blind)})")
+            said.append(
+                f"{some} {'sees' if len(blind) == 1 else 'see'} nothing of the splat ({listed(blind)})"
+            )
         if unlike:
             median = float(np.median(self.own[self.compared]))
             some = share_of(len(unlike), int(self.compared.sum()), "render tried", "renders tried")
-            differ = verb(len(unlike), "looks unlike its photograph", "look unlike their photographs")
+            one = len(unlike) == 1
+            differ = "looks unlike its photograph" if one else "look unlike their photographs"
             said.append(f"{some} {differ} ({listed(unlike)}; median correlation {median:.2f})")
         if self.matches:
             said.append(f"the photographs match {self.matches}")

@@ -17,8 +17,8 @@ from scoup.base import (
     Progress,
     check_arguments,
     listed,
+    native_core,
     no_progress,
-    release_memory,
     share_of,
     worked_ahead,
 )
@@ -148,6 +148,13 @@ def add_views(
             written.result()
     release_memory()
     return sums
+
+
+def release_memory() -> None:
+    """Give free memory of this process back to the system, after a stage that has used much."""
+    core = native_core()
+    if core is not None:
+        core.release_memory()
 
 
 def at_scale(camera: Camera, scale: Scale) -> Camera:

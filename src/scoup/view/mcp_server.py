@@ -81,11 +81,18 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
     return server
 
 
-def serve(server: Any, port: int | None, announce: Callable[[str, str], None]) -> int | None:
-    """Serve over HTTP (``serve_http``); without a port over standard input and output, until the input ends (None), or
-    a signal ends it: return its number."""
+def serve(
+    tools: SceneTools,
+    more: Iterable[Callable[..., Any]],
+    port: int | None,
+    announce: Callable[[str, str], None],
+) -> int | None:
+    """Serve tools (``make_server``) over HTTP (``serve_http``); without a port over standard input and output, until
+    the input ends (None), or a signal ends it: return its number. Without a port, ``announce`` gets no address."""
+    server = make_server(tools, more)
     if port is not None:
         return serve_http(server, port, announce)
+    announce("", "")
     stopped: list[int] = []
     with suppress(asyncio.CancelledError):
         asyncio.run(_serve(server, stopped))

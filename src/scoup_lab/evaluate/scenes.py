@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scoup.base import MissingFileError, UnknownNameError
-from scoup.io import find_features, load_cameras, splat_source
+from scoup.io import ScenePaths, load_cameras, splat_source
 from scoup.scene import Cameras
 
 
@@ -40,7 +40,7 @@ class Places:
         except MissingFileError as error:
             remedy = 'pass gaussians, for example "splats/{scene}/point_cloud.ply"'
             raise MissingFileError(error.path, error.problem, remedy) from error
-        features = find_features(folder, _placed(self.features, name), to_make=True)
+        features = ScenePaths(folder).features(_placed(self.features, name), to_make=True)
         if not features.is_dir():
             problem = "there is no such folder (expected region features)"
             raise MissingFileError(features, problem, 'pass features, for example "f/{scene}"')

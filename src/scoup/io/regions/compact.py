@@ -10,8 +10,8 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,24 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base import (
-    FileFormatError,
-    JsonNode,
-    array_checksum,
-    atomic_file,
-    check_format_version,
-    existing_file,
-    is_sealed,
-    safetensors_damage_named,
-    sealed,
-)
+from scoup.base import FileFormatError, JsonNode, SealedFile, atomic_file, check_format_version
 from scoup.io.image_folder import EXTENSIONS
 from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
 
 ENDINGS = (".regions",)  # of the files of a view, labels first
-_KEY = "scoup"
 _DEFLATE_LIMIT = 1040  # deflate never packs more bytes than this into one
 
 
@@ -64,8 +53,8 @@ class CompactView:
 
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
         """Return [levels, H, W] labels as stored; the file is opened once."""
-        with _opened(self.labels_path) as stream:
-            packed = [self._array(stream, f"labels.{level}").tobytes() for level in levels]
+        with _opened(self.labels_path) as file:
+            packed = [self._array(file, f"labels.{level}").tobytes() for level in levels]
         labels = np.empty((len(levels), self.height, self.width), np.int32)
         for level, data, out in zip(levels, packed, labels, strict=True):
             _unpack(self, level, data, out)
@@ -73,13 +62,13 @@ class CompactView:
 
     def embeddings(self, level: str) -> NDArray[np.floating]:
         """Return [R, D] embeddings of a level, as stored."""
-        with _opened(self.labels_path) as stream:
-            return self._array(stream, f"embeddings.{level}")
+        with _opened(self.labels_path) as file:
+            return self._array(file, f"embeddings.{level}")
 
-    def _array(self, stream: Any, name: str) -> NDArray[Any]:
-        array = stream.get_tensor(name)
-        if self.checksums is not None and array_checksum(array) != self.checksums.get(name):
-            raise FileFormatError(self.labels_path, f"is damaged (checksum of {name})", REMEDY)
+    def _array(self, file: SealedFile, name: str) -> NDArray[Any]:
+        array = file.stream.get_tensor(name)
+        if self.checksums is not None:
+            file.check_array(name, array, self.checksums.get(name))
         return array
 
 
@@ -94,21 +83,18 @@ def stem_of(name: str) -> str:
 def open_view(folder: Path, stem: str) -> CompactView:
     """Return a view whose file is there."""
     path = folder / f"{stem}{ENDINGS[0]}"
-    with _opened(path) as stream:
-        text = (stream.metadata() or {}).get(_KEY, "{}")
-        header = JsonNode(path, json.loads(text), REMEDY)
+    with _opened(path) as file:
+        header = JsonNode(path, json.loads(file.text), REMEDY)
         header.get("schema").text((SCHEMA,))
         check_format_version(path, header.get("version").value, VERSION)
         checksums, checksum = (header.get(key).value for key in ("checksums", "checksum"))
-        if (checksums, checksum) != (None, None) and not (
-            isinstance(checksums, dict) and is_sealed(text, checksum)
-        ):
-            raise FileFormatError(path, "is damaged (checksum of the header)", REMEDY)
+        if (checksums, checksum) != (None, None):
+            file.check_header(checksum if isinstance(checksums, dict) else None)
         width, height = (header.get(key).whole(1, MAX_IMAGE_SIDE) for key in ("width", "height"))
         levels = [level.text() for level in header.get("levels").items()]
         if not levels:
             raise FileFormatError(path, "has no levels", REMEDY)
-        shapes = {level: _shape_of_level(path, stream, level, (width, height)) for level in levels}
+        shapes = {level: _shape_of_level(path, file.stream, level, (width, height)) for level in levels}
         dims = {dim for _, dim in shapes.values()}
         if len(dims) > 1:
             raise FileFormatError(path, f"has embeddings of different sizes {sorted(dims)}", REMEDY)
@@ -141,10 +127,9 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
         "levels": levels,
         "manifest": manifest,
         "photograph": regions.photograph,
-        "checksums": {name: array_checksum(array) for name, array in tensors.items()},
     }
     with atomic_file(folder / f"{stem}{ENDINGS[0]}", overwrite) as stream:
-        stream.write(save(tensors, {_KEY: sealed(header)}))
+        stream.write(save(tensors, SealedFile.metadata(header, tensors)))
 
 
 def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) -> tuple[int, int]:
@@ -194,12 +179,5 @@ def _packed(labels: NDArray[np.int32], rows: int) -> bytes:
     return zlib.compress(steps.tobytes(), 6)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """Yield a safetensors file of arrays; every way in which it can be damaged becomes a FileFormatError."""
-    from safetensors import safe_open
-
-    what = "a file of region features"
-    existing_file(path, what)
-    with safetensors_damage_named(path, what, REMEDY), safe_open(path, framework="numpy") as stream:
-        yield stream
+def _opened(path: Path) -> AbstractContextManager[SealedFile]:
+    return SealedFile.open(path, "a file of region features", REMEDY)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, InputError, ScoupWarning, counted, existing_file, refused_read
+from scoup.base import FileFormatError, InputError, ScoupWarning, counted, existing_file
 from scoup.io.splats.activation import SH_BASES
 
 MAX_HEADER_BYTES = 1 << 16
@@ -62,7 +62,7 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
         with open(path, "rb") as stream:
             head = stream.read(MAX_HEADER_BYTES)
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     lines, body = _header_lines(path, head)
     encoding, elements, comments = _parse(path, lines)
     names = tuple(item.name for item in elements)

@@ -11,11 +11,11 @@ from contextlib import suppress
 import numpy as np
 import torch
 
-from scoup.base import FileFormatError, refused_read, scratch_array
+from scoup.base import FileFormatError, scratch_array
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
-from scoup.scene import TENSORS, Gaussians
+from scoup.scene import Gaussians
 
 AT_A_TIME = 1 << 18  # rows of a large file
 _MICROSOFT = {rb"-?nan\(\w*\)|-?1\.#(ind|qnan|snan)\d*": b"nan", rb"1\.#inf\d*": b"inf"}
@@ -42,7 +42,7 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
         count = end
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
-    return Gaussians(*(torch.from_numpy(arrays[name][:count]) for name in TENSORS))
+    return Gaussians(**{name: torch.from_numpy(values[:count]) for name, values in arrays.items()})
 
 
 def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
@@ -50,7 +50,7 @@ def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
     try:
         rows = np.fromfile(header.path, dtype=header.dtype, count=count, offset=offset)
     except OSError as error:
-        raise refused_read(header.path, error) from error
+        raise FileFormatError.unreadable(header.path, error) from error
     if len(rows) != count:
         raise FileFormatError(header.path, "was truncated while being read", "copy it again")
     return rows.astype(header.dtype.newbyteorder("<"), copy=False)
@@ -65,7 +65,7 @@ def _read_ascii(header: PlyHeader) -> np.ndarray:
             stream.seek(header.offset)
             values = _numbers(stream, header.count)
     except OSError as error:
-        raise refused_read(header.path, error) from error
+        raise FileFormatError.unreadable(header.path, error) from error
     except ValueError:
         values = _foreign_numbers(header)
     if values.shape != (header.count, len(header.dtype.names or ())):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, atomic_file, counted, existing_file, refused_read, share_of
+from scoup.base import FileFormatError, atomic_file, counted, existing_file, share_of
 from scoup.io.splats.activation import finite_arrays, keep_finite, unit_quats
 from scoup.io.splats.splat_format import SplatFormat, kind_inside
 from scoup.scene import SH_C0, Gaussians
@@ -42,7 +42,7 @@ def read_splat(path: str | Path) -> Gaussians:
             )
         rows = np.fromfile(path, dtype=_ROW)
     except OSError as error:
-        raise refused_read(path, error) from error
+        raise FileFormatError.unreadable(path, error) from error
     values = np.concatenate([rows["center"], rows["scale"]], axis=1)
     absurd = int((np.abs(values) > _MOST).any(1).sum())
     if absurd > _FEW * len(rows):

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base import FileFormatError, InputError, atomic_file, refuse_pointer, refused_read, slug
+from scoup.base import FileFormatError, InputError, atomic_file, refuse_pointer, slug
 
 ENDING = ".safetensors"
 SCENE = "scene"  # stem of the file that is not a view
@@ -138,10 +138,10 @@ def _mapped(path: Path) -> NDArray[np.uint8]:
             else torch.zeros(0, dtype=torch.uint8)
         )
     except OSError as error:
-        raise InputError(str(refused_read(path, error))) from error
+        raise InputError(str(FileFormatError.unreadable(path, error))) from error
     except RuntimeError as error:  # torch's, for a file that it cannot open
         reason = FileNotFoundError() if not path.exists() else OSError(str(error).splitlines()[0])
-        raise InputError(str(refused_read(path, reason))) from error
+        raise InputError(str(FileFormatError.unreadable(path, reason))) from error
     return data.numpy()
 
 

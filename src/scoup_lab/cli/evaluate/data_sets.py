@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from scoup.cli import Console, Flag, Names, OptionalInteger, titled
+from scoup.cli import Console, Names, arg
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ class FieldOptions:
 
     preset: Literal["default", "paper"] = "default"
     """How fields are built: default answers best, paper is the method as published (Adam, slow)."""
-    n_atoms: OptionalInteger = None
+    n_atoms: int | None = None
     """Atoms in the codebook of each level (L). Default: the preset's."""
 
 
@@ -29,7 +29,7 @@ class FieldOptions:
 class Evaluated(DataSetVerb):
     """What all protocols have in common."""
 
-    fields: Annotated[FieldOptions, titled("build")] = FieldOptions()
+    fields: Annotated[FieldOptions, arg(name="build")] = FieldOptions()
 
     protocol: ClassVar[str]
     """Its name."""
@@ -84,7 +84,7 @@ class OfPixels(Evaluated):
 
     rules: Rules = "scoup"
     """Rules that turn relevancy into masks and points; langsplat has some for LERF-OVS only."""
-    selection: Flag = False
+    selection: bool = False
     """Also score by the 3D-selection protocol, in tables of its own."""
 
     def evaluation(self) -> Evaluation[Any, Any]:

@@ -12,13 +12,8 @@ from scoup.cli import (
     CLIP_MODEL,
     AllCommon,
     Console,
-    Flag,
-    Model,
     Names,
-    OptionalPath,
-    OptionalText,
     arg,
-    titled,
 )
 
 if TYPE_CHECKING:
@@ -35,17 +30,17 @@ class DataSetOptions:
 
     scenes: Names = ()
     """Scenes to score; repeat it for several. Default: all that have labels."""
-    gaussians: OptionalText = None
+    gaussians: str | None = None
     """The trained splats, with {scene} for the scene's name. Default: the one in each scene's folder."""
-    cameras: OptionalText = None
+    cameras: str | None = None
     """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
-    features: OptionalText = None
+    features: str | None = None
     """The region features, with {scene} for the scene's name. Default: language_features in each scene's folder."""
-    images: OptionalText = None
+    images: str | None = None
     """The photographs, with {scene} for the scene's name. Default: images, images_2, images_4 or images_8."""
-    undistort: Flag = False
+    undistort: bool = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
-    text: Model = None
+    text: Annotated[str | None, arg(metavar="TABLE|MODEL")] = None
     """Text encoder of the labels. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
 
     def places(self) -> Places:
@@ -61,9 +56,9 @@ class DataSetVerb:
 
     root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]
     """Folder of the data set, with a folder for each scene."""
-    out: OptionalPath = None
+    out: Path | None = None
     """Folder for all outputs. Default: eval_<data set> here."""
-    data: Annotated[DataSetOptions, titled("data set")] = DataSetOptions()
+    data: Annotated[DataSetOptions, arg(name="data set")] = DataSetOptions()
     common: AllCommon = AllCommon()
 
     def open_labelled(self, console: Console, protocol: PixelProtocol) -> list[LabelledScene]:

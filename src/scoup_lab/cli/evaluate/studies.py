@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from scoup.cli import Console, Flag, Names
+from scoup.cli import Console, Names
 from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Baselines(StudyVerb):
     tens of minutes a scene."""
     seed: int = 0
     """Random seed."""
-    selection: Flag = False
+    selection: bool = False
     """Also score by the 3D-selection protocol, in a table of its own."""
 
     recorded: ClassVar[str] = "rules seed"

@@ -10,11 +10,12 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io import read_mask
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, existing_file
+from scoup.io import open_image, rgb_image
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 
@@ -63,6 +64,15 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
             stacklevel=2,
         )
     return frames
+
+
+def read_mask(path: str | Path, above: int) -> np.ndarray:
+    """Return [H, W] boolean: where an image, turned to grey, is brighter than ``above`` (0..255)."""
+    path = existing_file(path, "a mask")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with open_image(path) as image:
+            return np.asarray(rgb_image(image).convert("L")) > above
 
 
 def united(frames: Iterable[LabelledFrame], scene: str) -> list[LabelledFrame]:

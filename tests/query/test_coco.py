@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from messages import refuses
 from scoup.base import OutputExistsError
-from scoup.io.coco import CocoAnnotations, run_lengths
+from scoup.query.coco import CocoAnnotations, run_lengths
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="pycocotools is the oracle")
 

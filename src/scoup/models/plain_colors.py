@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.models import COLORS, ModelEntry
+from scoup.models.entry import ModelEntry
 
-NAME = COLORS
+COLORS = "colors"
 _BINS = 4  # a side of the colour cube
 _DIRECTIONS = 8
 _SIDE = 64
@@ -23,7 +23,7 @@ class PlainColors:
     encoder shares this space: a field built from it cannot be queried in words.
     """
 
-    name = NAME
+    name = COLORS
     dim = _BINS**3 + _DIRECTIONS
     side = _SIDE
 
@@ -31,7 +31,7 @@ class PlainColors:
         self.device = device
 
     def to_dict(self) -> dict[str, Any]:
-        return {"embedder": NAME, "bins": _BINS, "directions": _DIRECTIONS}
+        return {"embedder": COLORS, "bins": _BINS, "directions": _DIRECTIONS}
 
     def embed(self, crops: Tensor) -> Tensor:
         """See ``CropEmbedder``; black pixels do not count."""
@@ -58,8 +58,8 @@ class PlainColors:
         return functional.normalize(torch.cat(parts, dim=1), dim=1)
 
 
-ENTRY = ModelEntry(
-    NAME,
+PLAIN_COLORS = ModelEntry(
+    COLORS,
     lambda name, revision, device: PlainColors(device),
     help="no model: colours and edges of a crop; a field of it cannot be queried by text",
 )

@@ -1,0 +1,120 @@
+"""Files of ours in the safetensors format: arrays, and a JSON header with checksums of itself and of every array."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scoup.base.errors import FileFormatError, ScoupError
+from scoup.base.inputs import existing_file
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+KEY = "scoup"  # of the header, in the metadata
+NO_CHECKSUM = "0" * 8
+
+
+@dataclass(frozen=True, eq=False)
+class SealedFile:
+    """A file that is read."""
+
+    path: Path
+    stream: Any
+    """Of safetensors; its arrays are numpy's."""
+    text: str
+    """The header, "{}" in files of others."""
+    remedy: str
+    """Of damage."""
+
+    @classmethod
+    @contextmanager
+    def open(cls, path: Path, what: str, remedy: str, other: str = "") -> Iterator[SealedFile]:
+        """Open a file; every failure of reading it in the block becomes a FileFormatError.
+
+        ``other`` is the remedy for a file of another format, "" if that counts as damage.
+        """
+        from safetensors import safe_open
+
+        existing_file(path, what)
+        with _damage_named(path, what, remedy):
+            if other:
+                with path.open("rb") as start:
+                    if start.read(9)[8:] != b"{":  # of the header of any safetensors file
+                        raise FileFormatError(path, f"is not {what}", other)
+            with safe_open(path, framework="numpy") as stream:
+                yield cls(path, stream, (stream.metadata() or {}).get(KEY, "{}"), remedy)
+
+    @staticmethod
+    def metadata(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+        """Return the metadata to write: a header with the checksums of the arrays and its own."""
+        checksums = {name: array_checksum(array) for name, array in arrays.items()}
+        return {KEY: sealed({**header, "checksums": checksums})}
+
+    def check_header(self, checksum: object) -> None:
+        """Compare the header with its checksum."""
+        if not (
+            isinstance(checksum, str) and _crc32(_replaced(self.text, checksum, NO_CHECKSUM)) == checksum
+        ):
+            raise FileFormatError(self.path, "is damaged (checksum of the header)", self.remedy)
+
+    def check_array(self, name: str, array: NDArray[Any], checksum: object) -> None:
+        """Compare an array with its checksum."""
+        if array_checksum(array) != checksum:
+            raise FileFormatError(self.path, f"is damaged (checksum of {name})", self.remedy)
+
+
+def array_checksum(array: NDArray[Any]) -> str:
+    """Return the CRC-32 over type, shape and bytes of an array, as eight hexadecimal digits.
+
+    CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
+    """
+    import numpy as np
+
+    described = f"{array.dtype} {list(array.shape)}\n".encode()
+    content = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
+    return f"{zlib.crc32(content, zlib.crc32(described)):08x}"
+
+
+def sealed(header: Mapping[str, Any]) -> str:
+    """Return a header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
+    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
+    return _replaced(text, NO_CHECKSUM, _crc32(text))
+
+
+def _crc32(text: str) -> str:
+    return f"{zlib.crc32(text.encode()):08x}"
+
+
+def _replaced(text: str, checksum: str, other: str) -> str:
+    return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
+
+
+@contextmanager
+def _damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
+    """Turn every failure of reading a damaged safetensors file into a FileFormatError."""
+    from safetensors import SafetensorError
+
+    try:
+        yield
+    except ScoupError:
+        raise
+    except FileNotFoundError as error:
+        raise FileFormatError.unreadable(path, error) from error
+    except (
+        SafetensorError,
+        ValueError,
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", remedy) from error
