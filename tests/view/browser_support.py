@@ -372,6 +372,15 @@ def difference(picture: Picture, wanted: Picture) -> float:
     return float(np.linalg.norm(picture.astype(float) - wanted) / np.linalg.norm(wanted.astype(float)))
 
 
+DRAWS = """() => {
+  window.draws = [];
+  const own = WebGL2RenderingContext.prototype.drawElementsInstanced;
+  WebGL2RenderingContext.prototype.drawElementsInstanced = function (...values) {
+    window.draws.push((values[1] * values[4]) / 6);
+    return own.apply(this, values);
+  };
+}"""
+"""Notes how many Gaussians each frame draws."""
 CONTRASTS = Path(__file__).with_name("contrasts.js").read_text()
 
 

@@ -14,6 +14,7 @@ import torch
 from browser_support import (
     A_THING,
     ALIKE,
+    DRAWS,
     THINGS,
     Visit,
     coded,
@@ -190,15 +191,6 @@ def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> No
             visit.remove(text)
 
 
-DRAWS = """() => {
-  window.draws = [];
-  const own = WebGL2RenderingContext.prototype.drawElementsInstanced;
-  WebGL2RenderingContext.prototype.drawElementsInstanced = function (...values) {
-    window.draws.push((values[1] * values[4]) / 6);
-    return own.apply(this, values);
-  };
-}"""
-"""Notes how many Gaussians each frame draws."""
 UNFINISHED = """() => {
   const own = WebGL2RenderingContext.prototype.getSyncParameter;
   WebGL2RenderingContext.prototype.getSyncParameter = function (...values) {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -25,7 +27,7 @@ from scoup.view import parts
 from scoup.view.decimation import cover, decimate, drawable
 from scoup.view.parts import Parts
 from scoup.view.viewed_field import ViewedField
-from support import KINDS, examples, random_gaussians
+from support import KINDS, examples, gaussians_at, random_gaussians
 
 CLUSTERS = 4
 
@@ -246,16 +248,13 @@ def test_the_picture_is_nearer_than_without_the_smallest() -> None:
     generator = torch.Generator().manual_seed(0)
     count = 4000
     means = torch.cat([torch.rand(count, 2, generator=generator), torch.zeros(count, 1)], 1)
-    quats = torch.tensor([1.0, 0, 0, 0]).expand(count, 4).clone()
     scales = torch.tensor([0.008, 0.008, 1e-4]) * (0.5 + torch.rand(count, 1, generator=generator))
-    sh = (torch.cat([means[:, :2], means[:, :1]], 1)[:, None] - 0.5) / SH_C0
-    gaussians = Gaussians(means, quats, scales, torch.full((count,), 0.8), sh)
+    sh = (means[:, None, [0, 1, 0]] - 0.5) / SH_C0
+    gaussians = replace(gaussians_at(means, opacity=0.8), scales=scales, sh=sh)
     camera = Camera.look_at((0.5, 0.5, -1.5), (0.5, 0.5, 0.0), "front", 96, 96, 120.0, up=(0.0, 1.0, 0.0))
 
     def error(some: Gaussians) -> float:
-        wanted, found = (
-            raster.render_colors(part, camera, raster.project(part, camera)) for part in (gaussians, some)
-        )
+        wanted, found = (raster.render_colors(part, camera) for part in (gaussians, some))
         return float((wanted - found).square().mean())
 
     cover = gaussians.opacities * gaussians.scales[:, :2].prod(1)
