@@ -83,7 +83,7 @@ def test_levels_thresholds_and_gaussians_are_those_of_select(viewed: ViewedField
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
     things = of_things.field.thing_table
     assert things is not None
-    for answer in of_things.answers(WORDS):
+    for answer in of_things.answers(WORDS[::2]):
         for level, chosen in [(None, answer.chosen_things), *enumerate(answer.things)]:
             wanted = of_select(of_things, answer.text, level)
             assert chosen == list(wanted.things)
