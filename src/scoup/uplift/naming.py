@@ -20,7 +20,7 @@ from scoup.scene import Camera, Detections, Gaussians
 from scoup.uplift import constants
 
 if TYPE_CHECKING:
-    from scoup.field import Own
+    from scoup.field import Field
 
 AT_A_TIME = 64  # things that are rendered together
 
@@ -146,8 +146,8 @@ def name_things(
 
 
 def name_field(
-    field: Own, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
-) -> Own:
+    field: Field, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
+) -> Field:
     """Return a field with things named by detections of texts in the photographs of its views (view -> detections); the
     field itself where no view has any."""
     table = field.thing_table
