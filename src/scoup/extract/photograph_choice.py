@@ -20,7 +20,7 @@ from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
 from scoup.io import find_cameras, find_splat, load_cameras, load_gaussians, read_points, spread_directions
 from scoup.raster import prepare_gaussians
 from scoup.scene import Camera, Gaussians, nearest_points
-from scoup.uplift import Verdict, fit_problem, measure_fit
+from scoup.uplift import measure_fit
 
 
 def total_wanted(text: str | None, there: int) -> int | None:
@@ -154,8 +154,8 @@ def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaus
         return points_as_gaussians(read_points(cameras_of.path)[0])
     gaussians = load_gaussians(source.path)
     fit = measure_fit(gaussians, cameras, source.preset)
-    if fit.verdict is Verdict.HOPELESS:
-        raise InputError(fit_problem(fit, cameras, source.path))
+    if fit.is_hopeless:
+        raise InputError(fit.problem(cameras, source.path))
     return gaussians
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.base import VERSION, FileFormatError, InputError, Progress, no_progress, scratch_array
 from scoup.coding import decoded_cosines, encode, fit_codes
 from scoup.field import Field, FieldInfo
-from scoup.io import Decoder, read_langsplat
+from scoup.io import Decoder, load_gaussians, read_features, read_langsplat, splat_source
 from scoup.scene import LEAST_EMBEDDING, Gaussians, SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift.provenance import recorded_model
 
@@ -23,7 +23,41 @@ LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
 TOP_K = 4  # LangSplatV2's
 LEVELS = ("s", "m", "l")
+ARRAYS = (".npy", ".pt")  # of features
 _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
+
+
+def foreign_field(  # noqa: PLR0913  one choice of the user each
+    source: Path,
+    gaussians: Path | None,
+    n_atoms: int,
+    k: int,
+    *,
+    embedding_model: str = "",
+    words: str | Path | None = None,
+    decode: Decoder | None = None,
+    read: Callable[[Path], None],
+    progress: Progress = no_progress,
+) -> Field:
+    """Make a field of a file: features of the splat ``gaussians``, one row per Gaussian (.npy, .pt); or a checkpoint of
+    LangSplat or a relative, with those of the other levels beside it.
+
+    ``read`` is called with each checkpoint; the others are arguments of ``field_from_features`` and
+    ``field_from_langsplat``.
+    """
+    encoder = {"embedding_model": embedding_model, "words": words}
+    if gaussians is not None and source.suffix.lower() in ARRAYS:
+        splat = splat_source(gaussians)
+        rows, preset = read_features(source), splat.preset
+        field = field_from_features(
+            load_gaussians(splat.path), rows, n_atoms, k, **encoder, raster_preset=preset, progress=progress
+        )
+        field.geometry_path = splat.path
+        return field
+    paths = langsplat_levels(source)
+    for path in paths:
+        read(path)
+    return field_from_langsplat(paths, k, **encoder, decode=decode, n_atoms=n_atoms, progress=progress)
 
 
 def field_from_features(  # noqa: PLR0913  the public face: each keyword is one choice of the user
