@@ -18,7 +18,6 @@ from messages import refuses, warns
 from scoup.base import Part, ScoupError, ScoupWarning
 from scoup.extract import (
     Masks,
-    MaskSettings,
     extract,
     find_photographs,
     open_embedder,
@@ -28,6 +27,7 @@ from scoup.extract import (
 from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
 from scoup.extract.plain_colors import PlainColors
+from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
 from scoup.io.regions.manifest import MANIFEST, write_manifest
 from scoup.scene import LEVELS, Cameras

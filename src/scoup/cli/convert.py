@@ -143,15 +143,10 @@ class Convert:
             raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
         with console.progress() as progress:
             field = foreign_field(
-                self.source,
-                options.gaussians,
-                options.n_atoms,
-                options.k,
-                **self._encoder(),
-                decode=None if is_array else self._decoder(),
+                self.source, options.gaussians, None if is_array else self._decoder(),
                 read=lambda path: console.say(f"{path}: read"),
-                progress=progress,
-            )
+                n_atoms=options.n_atoms, k=options.k, **self._encoder(), progress=progress,
+            )  # fmt: skip
         field.save(self.target, self.common.overwrite)
         self._report(console, field)
 

@@ -16,6 +16,7 @@ from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
 from scoup.models import (
     ANY_OPEN_CLIP,
+    CONCEPTS,
     DENSE_PREFIX,
     GROUP,
     HUB,
@@ -90,6 +91,15 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ANY_OPEN_CLIP,
     plain_colors.ENTRY,
 ))  # fmt: skip
+
+
+def model_tables() -> dict[str, list[dict[str, str]]]:
+    """Return the rows of the tables of segmenters, embedders and models with words, for people."""
+    tables = {"segmenters": SEGMENTERS, "embedders": EMBEDDERS, "concepts": CONCEPTS}
+    return {
+        title: [{**one.cells(), "weights": one.weights(), "what it is": one.help} for one in table.values()]
+        for title, table in tables.items()
+    }
 
 
 def open_segmenter(

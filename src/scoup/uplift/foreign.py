@@ -27,37 +27,24 @@ ARRAYS = (".npy", ".pt")  # of features
 _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
 
 
-def foreign_field(  # noqa: PLR0913  one choice of the user each
-    source: Path,
-    gaussians: Path | None,
-    n_atoms: int,
-    k: int,
-    *,
-    embedding_model: str = "",
-    words: str | Path | None = None,
-    decode: Decoder | None = None,
-    read: Callable[[Path], None],
-    progress: Progress = no_progress,
+def foreign_field(
+    source: Path, gaussians: Path | None, decode: Decoder | None, read: Callable[[Path], None], **options: Any
 ) -> Field:
-    """Make a field of a file: features of the splat ``gaussians``, one row per Gaussian (.npy, .pt); or a checkpoint of
-    LangSplat or a relative, with those of the other levels beside it.
+    """Make a field of features of the splat ``gaussians``, one row per Gaussian (.npy, .pt); or of a checkpoint of
+    LangSplat or a relative, with those of the other levels beside it, which are passed to ``read``.
 
-    ``read`` is called with each checkpoint; the others are arguments of ``field_from_features`` and
-    ``field_from_langsplat``.
+    ``options`` are those that ``field_from_features`` and ``field_from_langsplat`` share.
     """
-    encoder = {"embedding_model": embedding_model, "words": words}
     if gaussians is not None and source.suffix.lower() in ARRAYS:
         splat = splat_source(gaussians)
-        rows, preset = read_features(source), splat.preset
-        field = field_from_features(
-            load_gaussians(splat.path), rows, n_atoms, k, **encoder, raster_preset=preset, progress=progress
-        )
+        known, rows = load_gaussians(splat.path), read_features(source)
+        field = field_from_features(known, rows, raster_preset=splat.preset, **options)
         field.geometry_path = splat.path
         return field
     paths = langsplat_levels(source)
     for path in paths:
         read(path)
-    return field_from_langsplat(paths, k, **encoder, decode=decode, n_atoms=n_atoms, progress=progress)
+    return field_from_langsplat(paths, decode=decode, **options)
 
 
 def field_from_features(  # noqa: PLR0913  the public face: each keyword is one choice of the user
