@@ -60,8 +60,8 @@ from scoup.models import Encoder, TextEncoder
 from scoup.query import (
     LanguageField,
     OrientedBox,
+    Thing,
     ThingIndex,
-    things_of_table,
     warn_of_another_model,
 )
 
@@ -209,7 +209,7 @@ class Archive:
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
         table = field.thing_table.to("cpu")
-        things = things_of_table(field, range(len(table)))
+        things = Thing.of_table(field, range(len(table)))
         placed = torch.zeros(len(table), dtype=torch.bool)
         placed[[thing.number or 0 for thing in things]] = True
         vectors = vector_bytes(table.embeddings)

@@ -176,13 +176,7 @@ class Convert:
             f"{self.target}: {counted(len(field), 'Gaussian')}, {counted(field.n_atoms, 'atom')}, "
             f"levels {', '.join(levels)}"
         )
-        console.result(
-            {
-                "out": self.target,
-                "gaussians": len(field),
-                "coded": int(field.coded().sum()),
-                "levels": list(field.levels),
-                "atoms": field.n_atoms,
-                "mean_cosine": cosines,
-            }
-        )
+        console.result({
+            "out": self.target, "gaussians": len(field), "coded": int(field.coded().sum()),
+            "levels": list(field.levels), "atoms": field.n_atoms, "mean_cosine": cosines,
+        })  # fmt: skip

@@ -189,11 +189,10 @@ class ViewsFolder:
 
     def check(self, overwrite: bool) -> None:
         """Refuse a folder with views, unless they are overwritten, or with other cameras."""
-        check_output(self.folder / TRANSFORMS, self.sheet, overwrite=overwrite)
-        if has_cameras(self.folder) and find_cameras(self.folder).path != self.folder / TRANSFORMS:
-            raise InputError(
-                f"{self.folder}: is a scene with other cameras; choose another folder with `out`"
-            )
+        out = self.folder
+        check_output(out / TRANSFORMS, self.sheet, overwrite=overwrite)
+        if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
+            raise InputError(f"{out}: is a scene with other cameras; choose another folder with `out`")
 
     def make(
         self, splat: Path, up: Sequence[float] | None, keep_axes: bool, overwrite: bool, progress: Progress,
@@ -205,9 +204,8 @@ class ViewsFolder:
         gaussians = load_gaussians(source.path)
         if keep_axes and source.kind.axis is not None:
             turned = source.kind.turned(gaussians)
-            up = source.kind.turned_direction(
-                up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
-            )
+            own = up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
+            up = source.kind.turned_direction(own)
         cameras = choose_cameras(gaussians, up=up, progress=progress, **sizes)
         return cameras, save_views(gaussians, cameras, self.folder, overwrite, progress)
 

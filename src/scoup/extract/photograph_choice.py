@@ -36,13 +36,7 @@ from scoup.uplift import measure_fit
 
 
 def total_wanted(text: str | None, there: int) -> int | None:
-    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text.
-
-    Example:
-        >>> from scoup.extract.photograph_choice import total_wanted
-        >>> total_wanted("+40", 58)
-        98
-    """
+    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text."""
     if text is None:
         return None
     if not re.fullmatch(r"\+?0*[1-9]\d{0,6}", text):

@@ -63,21 +63,13 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     """Make a field of one feature per Gaussian, from any system: sparse codes of the features, without a vote.
 
     A codebook per level is learned from some of the rows (``fit_codes``), and all rows are coded by it. Only directions
-    count. Rows that are zero or not finite have no code.
+    count. Rows that are zero or not finite have no code. The provenance of the field has, per level, the mean cosine of
+    decoded codes and features.
 
     Args:
-        gaussians: N of them.
         features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one.
-        n_atoms: L, of each codebook.
-        k: K, most atoms of a code.
         embedding_model, words: as for ``build``.
         levels: S names; by default "m", or s, m, l.
-        seed: of the choice of rows and of the codebook.
-        raster_preset: rasteriser constants.
-        progress: called for the stages "coding" and "codes".
-
-    Returns:
-        A field whose provenance has, per level, the mean cosine of decoded codes and features.
     """
     rows = features if isinstance(features, (np.ndarray, Tensor)) else np.asarray(features)
     if rows.ndim == 2:
@@ -124,8 +116,6 @@ def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one
     Args:
         paths: one checkpoint per level, fine to coarse, of one splat.
         k: entries kept, as LangSplatV2's option topk in training.
-        embedding_model, words: as for ``build``; LangSplat trains with open_clip's ViT-B-16.
-        levels: names of the levels; by default "m", or s, m, l.
         decode: LangSplat's autoencoder (``langsplat_autoencoder.read_autoencoder``), which its features need.
         n_atoms, seed, progress: of codes of features.
     """

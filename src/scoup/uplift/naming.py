@@ -143,15 +143,13 @@ def name_things(
     return count_votes(texts, counted)
 
 
-def name_field(
-    field: Own, texts: Sequence[str], views: Sequence[tuple[Camera, Detections]], backend: str | None = None
-) -> Own:
+def name_field(field: Own, texts: Sequence[str], views: Sequence[tuple[Camera, Detections]]) -> Own:
     """Return a field with things named by detections of texts in photographs; the field itself where it has no things,
     or there are no views."""
     table = field.thing_table
     if table is None or not views:
         return field
-    return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset, backend))
+    return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset))
 
 
 def presence_of(scores: Tensor) -> Tensor:
