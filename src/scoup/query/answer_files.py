@@ -69,7 +69,7 @@ class AnswerFiles:
         if coco and len(set(texts)) < len(texts):
             raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
         self._coco = CocoAnnotations(tuple(texts)) if coco else None
-        self._motion = video
+        self._motion: Motion | Literal["none"] = video
         self._videos = [] if video == "none" else [f"{name}_{video}.mp4" for name in unique_slugs(texts)]
         singles = [name for of_text in self._singles for name in of_text.values()] + [NPZ] * npz
         # Of all files, within their folder.
