@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.field import relevancy
 from scoup.scene import SparseCodes
-from scoup.uplift import BUILD_PRESETS, BuildSettings, build
+from scoup.uplift import BuildSettings, build, build_settings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup_lab.baselines.joint_codes import JointSettings
@@ -97,7 +97,7 @@ def test_sizes(scene: RasterisedScene) -> None:
 
 @pytest.mark.parametrize(("name", "given", "expected"), [
     ("sparse", SETTINGS.build, SETTINGS.build),
-    ("paper", BuildSettings(epochs=3), replace(BUILD_PRESETS["paper"], epochs=3)),
+    ("paper", BuildSettings(epochs=3), build_settings("paper", epochs=3)),
 ])  # fmt: skip
 def test_fields_are_builds(
     scene: RasterisedScene, name: str, given: BuildSettings, expected: BuildSettings

@@ -19,7 +19,7 @@ from benchmarks.ways import WAYS
 from messages import refuses
 from scoup.base import UnknownNameError
 from scoup.coding.exact import EFFORTS, ExactSettings
-from scoup.uplift import BUILD_PRESETS, constants
+from scoup.uplift import build_settings, constants
 from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift
@@ -107,8 +107,8 @@ def test_ways_are_what_their_names_say() -> None:
         assert isinstance(uplift, SparseUplift)
         return replace(DEFAULTS.build, **uplift.changes)
 
-    default = BUILD_PRESETS["default"]
-    assert (build_of("default"), build_of("paper")) == (default, BUILD_PRESETS["paper"])
+    default = build_settings("default")
+    assert (build_of("default"), build_of("paper")) == (default, build_settings("paper"))
     assert build_of("votes") == replace(default, things=False)
     assert {name for pair in answers.COMPARED for name in pair} <= set(WAYS)
 

@@ -19,8 +19,8 @@ from query.planted_room import planted_room
 from query.test_named import names_of, with_names
 from scoup.io import PlyTable, load_gaussians, write_colmap
 from scoup.models import WordTable
-from scoup.query import LanguageField, Reshaping, edited
-from scoup.query.edits import Edit
+from scoup.query import LanguageField, Reshaping
+from scoup.query.edits import Edit, edited
 from scoup.raster import render_colors
 from scoup.scene import Cameras
 from support import make_camera
@@ -223,7 +223,7 @@ def test_python_says_what_the_command_line_says():
 
 @pytest.mark.parametrize("motion", ["path", "turntable"])
 def test_videos(motion, monkeypatch):
-    monkeypatch.setattr("scoup.cli.query.FRAMES", 5)
+    monkeypatch.setattr("scoup.query.answer_files.FRAMES", 5)
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     options = ("--video", motion, "--out", "a", "--always")
     record = run_json("query", "f.scoup", *TEXTS, *options)

@@ -23,7 +23,7 @@ from scoup.io.splats.splat_format import SplatFormat
 from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
-from scoup.uplift import BUILD_PRESETS
+from scoup.uplift.settings import BUILD_PRESETS
 from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")

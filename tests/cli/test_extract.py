@@ -128,7 +128,7 @@ def test_photographs_are_chosen_and_more_are_added() -> None:
 @pytest.mark.parametrize("without", ["point_cloud.ply", "sparse"])
 def test_what_the_choice_of_photographs_needs(monkeypatch: pytest.MonkeyPatch, without: str) -> None:
     """COLMAP's points serve without a splat; without cameras all are taken, unless a number is passed."""
-    monkeypatch.setattr("scoup.extract.FEW", 1)
+    monkeypatch.setattr("scoup.extract.constants.FEW", 1)
     shutil.rmtree("scene/language_features")
     if without == "sparse":
         shutil.rmtree("scene/sparse")

@@ -18,7 +18,6 @@ from messages import refuses, warns
 from scoup.base import Part, ScoupError, ScoupWarning
 from scoup.extract import (
     Masks,
-    MaskSettings,
     extract,
     find_photographs,
     open_embedder,
@@ -27,6 +26,7 @@ from scoup.extract import (
 )
 from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
+from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
 from scoup.io.regions.manifest import MANIFEST, write_manifest
 from scoup.models.plain_colors import PlainColors

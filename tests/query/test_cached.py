@@ -13,8 +13,9 @@ from torch import Tensor
 from query.conftest import WORDS, random_vectors
 from query.planted_room import BACK, FRONT, planted_room
 from query.test_named import LAMP, MUG, named_room
-from scoup.field import Cache, PixelCosines, pixel_relevancy
+from scoup.field import Cache
 from scoup.field.cache import ENTRY_BYTES
+from scoup.field.cosines import PixelCosines, pixel_relevancy
 from scoup.models import CANONICAL_PHRASES, TextEncoder
 from scoup.query.answer import answer_relevancy
 from scoup.query.language_field import LanguageField
@@ -131,7 +132,7 @@ def test_a_view_keeps_what_further_questions_reuse(
         field.code_weights.mul_(0)
         return found
 
-    monkeypatch.setattr("scoup.query.field_view.pixel_relevancy", edited)
+    monkeypatch.setattr("scoup.field.field.pixel_relevancy", edited)
     view.relevancy(queries[:1], canonical)
     monkeypatch.undo()
     assert view.relevancy(queries[1:2], canonical).eq(0.5).all()

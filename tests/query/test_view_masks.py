@@ -12,9 +12,8 @@ from torch import Tensor
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.field import render_depth
 from scoup.query import constants
-from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel
+from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel, render_depth
 from scoup.scene import Camera
 from support import examples
 
