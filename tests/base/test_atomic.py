@@ -1,3 +1,5 @@
+"""Outputs of one process: what may be written, and what appears."""
+
 from __future__ import annotations
 
 import pytest
@@ -18,22 +20,6 @@ def test_makes_the_folder_and_replaces_nothing_by_default(tmp_path):
     assert [item.name for item in target.parent.iterdir()] == ["file.txt"]
     (tmp_path / "plain").write_text("x")
     assert target.stat().st_mode == (tmp_path / "plain").stat().st_mode
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path, error):
-    target = tmp_path / "file.bin"
-    target.write_bytes(b"old")
-
-    def write_half():
-        with atomic_file(target, overwrite=True) as stream:
-            stream.write(b"half")
-            raise error
-
-    with pytest.raises(error):
-        write_half()
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_somebody_else_wrote_meanwhile(tmp_path):
