@@ -79,15 +79,6 @@ def test_an_absent_text_selects_and_labels_nothing() -> None:
 # ---- query
 
 
-def test_many_texts_take_several_sheets():
-    table = WordTable.load("scene/words.npz")
-    names = [f"thing {number}" for number in range(7)]
-    WordTable.save("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
-    record = run_json("query", "f.scoup", *names, "--text", "many.npz")
-    assert record["sheets"] == ["f_queries/sheet_1.png", "f_queries/sheet_2.png"]
-    assert all(Path(sheet).is_file() for sheet in record["sheets"])
-
-
 def test_the_record_of_an_answer():
     record = run_json("query", "f.scoup", "kettle", "--out", "answers", "--pictures", "all")
     (answer,), (place,) = record["answers"], record["places"]
@@ -198,8 +189,7 @@ def test_python_says_what_the_command_line_says():
 def test_videos(motion, monkeypatch):
     monkeypatch.setattr("scoup.cli.query.FRAMES", 5)
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
-    options = ("--video", motion, "--out", "a", "--always")
-    record = run_json("query", "f.scoup", *TEXTS, *options)
+    record = run_json("query", "f.scoup", *TEXTS, "--video", motion, "--out", "a", "--always")
     assert record["videos"] == [f"a/{text}_{motion}.mp4" for text in TEXTS]
     for path in record["videos"]:
         reader = ffmpeg.read_frames(path)
@@ -354,13 +344,3 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     )
     run("compare", "old.scoup", "named.scoup", "--text", "lantern.npz", "--words", "lamp.txt")
     assert seen == [(), ("lantern",)]
-
-
-@pytest.mark.usefixtures("captures")
-def test_a_splat_that_has_moved_is_named_by_the_option_of_its_capture() -> None:
-    moved = planted_room()
-    moved.geometry_path = Path("gone.ply")
-    moved.save("moved.scoup")
-    for captures, option in (("old", "moved"), "--new-gaussians"), (("moved", "old"), "--gaussians"):
-        said = refused("compare", *(f"{name}.scoup" for name in captures))
-        assert f"say where it is now with {option}" in said

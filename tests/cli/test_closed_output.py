@@ -31,18 +31,12 @@ def nobody_reads(name: str) -> Iterator[None]:
             setattr(sys, name, before)
 
 
-@pytest.mark.parametrize("more", [(), ("--json",)])
-def test_results_that_nobody_reads(more: tuple[str, ...]) -> None:
-    with nobody_reads("stdout"):
+@pytest.mark.parametrize(("stream", "more"), [("stdout", ()), ("stdout", ("--json",)), ("stderr", ())])
+def test_results_and_warnings_that_nobody_reads(stream: str, more: tuple[str, ...]) -> None:
+    Path("scene/images/view_00.png").unlink()  # of which a warning is said
+    with nobody_reads(stream):
         assert main([*BUILD, *more]) == 0
     assert run("info", "a.scoup")[0] == 0
-
-
-def test_warnings_that_nobody_reads_end_nothing() -> None:
-    Path("scene/images/view_00.png").unlink()
-    with nobody_reads("stderr"):
-        assert main(list(BUILD)) == 0
-    assert Path("a.scoup").is_file()
 
 
 def in_a_shell(python: str, *words: str, ending: str) -> int:

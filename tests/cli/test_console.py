@@ -21,15 +21,12 @@ MACHINES = Common(as_json=True)
 
 
 def test_help_without_arguments_lists_the_verbs():
+    assert run("--version") == (0, f"scoup {scoup.__version__}\n", "")
     for arguments in ((), ("--help",), ("-h",)):
         code, out, _ = run(*arguments)
         assert code == 0
         assert all(verb in out for verb in ("demo", "build", "query", "select", "render", "info"))
         assert "Exit codes" in out
-
-
-def test_version():
-    assert run("--version") == (0, f"scoup {scoup.__version__}\n", "")
 
 
 @pytest.mark.parametrize(
@@ -53,7 +50,6 @@ def test_frames_of_the_parser_stay_out_of_json():
     done = finished(command, env={**os.environ, "PYTHONIOENCODING": "ascii"})
     said = "Unrecognized options: --odd; see scoup --help, or scoup VERB --help"
     assert (done.returncode, json.loads(done.stdout)) == (2, {"error": said})
-    assert json.loads(run(*command[3:])[1]) == {"error": said}
 
 
 @pytest.mark.usefixtures("here")
@@ -109,16 +105,8 @@ def test_errors_are_one_line_and_one_object(capsys, error, code, said):
 
 
 def test_faults_of_the_program_are_not_hidden():
-    def verb(console: Console) -> None:
-        raise RuntimeError("a fault")
-
-    with pytest.raises(RuntimeError, match="a fault"):
-        run_verb(Common(), verb)
-
-
-def test_texts_print_as_they_stand(capsys):
-    Console(Common()).say("a [red] :smile: [31, 9]")
-    assert capsys.readouterr().out == "a [red] :smile: [31, 9]\n"
+    with pytest.raises(ZeroDivisionError):
+        run_verb(Common(), lambda console: 1 / 0)
 
 
 def test_file_names_of_texts():
@@ -136,13 +124,14 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     assert html("{{ text }}", text=hostile) == escaped  # in pages, too
 
     def speak(console: Console) -> None:
+        console.say("a [red] :smile: [31, 9]")
         console.say(f"{hostile}\tone\ntwo: é 水")
         warnings.warn(hostile, ScoupWarning, stacklevel=1)
         raise InputError(hostile.replace("\r", ""))
 
     assert run_verb(Common(), speak) == 2
     out, err = capsys.readouterr()
-    assert out == f"{escaped}\tone\ntwo: é 水\n"
+    assert out == f"a [red] :smile: [31, 9]\n{escaped}\tone\ntwo: é 水\n"
     assert err == f"warning: {escaped}\nerror: {escaped.replace(chr(92) + 'x0d', '')}\n"
 
 

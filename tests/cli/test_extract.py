@@ -13,7 +13,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json, snapshot
+from cli_support import FREE, QUICK, plain_photographs, printed, refused, run, run_json, snapshot
 from scoup.cli.options import CLIP_MODEL
 from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import (
@@ -23,7 +23,6 @@ from scoup.io import (
     load_regions,
     save_gaussians,
     write_colmap,
-    write_transforms,
 )
 from scoup.io.regions.manifest import MANIFEST
 from scoup.query import LanguageField
@@ -61,11 +60,9 @@ def test_extract_then_build() -> None:
 
 def test_extract_from_photographs_alone() -> None:
     photographs()
-    record = run_json("extract", "scene/images", *FREE, "--out", "deep/out")
-    assert record["made"] == 4
-    assert {"view_00.regions", MANIFEST} <= {path.name for path in Path("deep/out").iterdir()}
-    assert run("extract", "scene", *FREE, "--out", "other", "--quiet")[:2] == (0, "")
-    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("deep/out", "other"))
+    assert run_json("extract", "scene/images", *FREE, "--out", "out")["made"] == 4
+    run_json("extract", "scene", *FREE)
+    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("out", "scene"))
     for level in one.levels:
         assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
 
@@ -74,8 +71,6 @@ def test_regions_picture() -> None:
     photographs()
     run_json("extract", "scene", *FREE, "--out", "regions")
     record = run_json("extract", "scene", "--show", "view_00.png", "--out", "regions")
-    assert record["view"] == "view_00.png"
-    assert all(record["regions"][level] >= 1 for level in "sml")
     assert set(record["covered"].values()) == {1}
     with Image.open("view_00_regions.png") as picture:
         assert picture.size[0] == 1800
@@ -89,13 +84,6 @@ def test_convert_into_a_folder_that_extract_has_made() -> None:
     assert "made with other settings" in refused("convert", "langsplat", "regions")
     run_json("convert", "langsplat", "regions", "--overwrite")
     assert len(load_regions("regions", load_cameras("scene"))) == 4
-
-
-def test_parts_of_an_extraction() -> None:
-    photographs()
-    records = [run_json("extract", "scene", *FREE, "--part", f"{number}/3") for number in (1, 2, 3)]
-    assert [record["made"] for record in records] == [2, 1, 1]
-    assert len(load_regions("scene", load_cameras("scene"))) == 4
 
 
 def test_photographs_are_chosen_and_more_are_added() -> None:
@@ -112,9 +100,6 @@ def test_photographs_are_chosen_and_more_are_added() -> None:
     assert len(first) == 2
     # A build takes the views with regions, and says so.
     assert "2 views with regions of 4 cameras" in run("build", "scene", *QUICK, "--out", "a.scoup")[1]
-    cameras = LanguageField.load("a.scoup").cameras
-    assert cameras is not None
-    assert set(cameras.names) == set(first)
     assert run_json("extract", "scene", *FREE, "--views", "+1")["made"] == 1
     assert chosen()[:2] == first
     assert len(chosen()) == 3
@@ -153,7 +138,6 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
     listed = run_json("extract", "--list")
     assert {"owlv2", "grounding-dino", "sam3"} <= {row["name"] for row in listed.pop("concepts")}
     rows = {row["name"]: row for rows in listed.values() for row in rows}
-    assert {"mobile-sam", "sam-vit-h", "sam3", "felzenszwalb", CLIP_MODEL, "colors"} <= set(rows)
     assert [name for name, row in rows.items() if row["weights"] == "here"] == ["sam-vit-b"]
     assert (rows["mobile-sam"]["weights"], rows["colors"]["weights"]) == ("not here", "-")
     measured = json.loads((ROOT / "docs/benchmarks/extract.json").read_text())["rows"]
@@ -163,10 +147,7 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
     assert rows[CLIP_MODEL]["CPU seconds"] == f"{measured['clip/crops']['cpu_seconds']:.1f}"
     assert rows["dense:MODEL"]["CPU seconds"] == f"{measured['clip/dense']['cpu_seconds']:.1f}"
     assert [row["CPU seconds"] for row in rows.values()].count("-") == len(rows) - 3
-    code, out, _ = run("extract", "--list")
-    assert code == 0
-    assert len(out.split()) > 5 * len(rows)
-    assert all(name in out for name in rows)
+    assert all(name in printed("extract", "--list") for name in rows)
 
 
 def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,7 +189,6 @@ def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyP
 
 def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:
     record = run_json("views", SPLAT, *SMALL, "--views", 4, "--out", "own")
-    assert record["views"] == 4
     assert record["coverage"] >= record["coverage_by_three"] > 0
     cameras = load_cameras("own")
     assert [camera.image_path is not None for camera in cameras] == [True] * 4
@@ -223,35 +203,19 @@ def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:
 
 def test_views_that_are_there_are_replaced_on_request() -> None:
     """Their images go, and no others."""
-    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
-    shutil.copy("own/images/own_000.png", "own/images/own_009.png")
-    assert "own/transforms.json" in refused("views", SPLAT, *SMALL, "--views", 1, "--out", "own")
-    run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "own", "--overwrite")
-    assert len(load_cameras("own")) == 1
-    assert sorted(path.name for path in Path("own/images").iterdir()) == ["own_000.png", "own_009.png"]
-
-
-def test_photographs_whose_cameras_are_replaced_stay() -> None:
-    before = sorted(Path("scene/images").iterdir())
-    write_transforms(load_cameras("scene"), "scene/transforms.json")
+    photographs = {path.name for path in Path("scene/images").iterdir()}
     shutil.rmtree("scene/sparse")
-    run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "scene", "--overwrite")
-    assert set(before) < set(Path("scene/images").iterdir())
-
-
-@pytest.mark.slow  # views of the usual size
-def test_a_build_of_a_splat_alone_makes_its_views() -> None:
-    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
-    assert built["views"] == len(load_cameras("alone_views")) > 1
+    views = ("views", SPLAT, *SMALL, "--out", "scene", "--views")
+    run_json(*views, 3)
+    assert "scene/transforms.json" in refused(*views, 1)
+    run_json(*views, 1, "--overwrite")
+    assert len(load_cameras("scene")) == 1
+    assert {path.name for path in Path("scene/images").iterdir()} == {*photographs, "own_000.png"}
 
 
 def test_a_build_of_a_splat_alone_continues() -> None:
     run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "all alone_views")
-    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")
-    cameras = LanguageField.load("all alone.scoup").cameras
-    assert cameras is not None
-    assert cameras.names == load_cameras("all alone_views").names
-    assert built["views"] == 3
+    assert run_json("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")["views"] == 3
     kept = snapshot(Path("all alone_views"))
     code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup", "--overwrite")
     assert code == 0
@@ -278,7 +242,6 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
         assert code == 130
         assert f"interrupted; {expected}, run the same command again to continue" in error
         assert "scoup extract" not in said  # which the build does itself
-    assert run(*build)[0] == 0
 
 
 def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -221,6 +221,7 @@ def test_a_mistake_is_one_sentence(mistaken: Path, monkeypatch: pytest.MonkeyPat
     ("extract scene --segmenter ./no-such-model", "or pass --segmenter felzenszwalb, which needs no model"),
     ("extract scene --segmenter felzenszwalb --embedder ./no-such-model", "or pass --embedder colors, which needs no"),
     (f"{BUILT} --keep-sums file --overwrite", "file: cannot be written ("),
+    ("words --model nobody/none", "text model 'nobody/none' cannot be loaded"),
 ])  # fmt: skip
 def test_mistakes_of_which_the_machine_says_more(
     mistaken: Path, monkeypatch: pytest.MonkeyPatch, command: str, said: str
@@ -286,6 +287,14 @@ def cameras_that_see_nothing() -> None:
     write_colmap(cameras, "scene/sparse/0", overwrite=True)
 
 
+def no_splat() -> None:
+    field = LanguageField.load("f.scoup")
+    LanguageField(field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians).save(
+        "a.scoup"
+    )
+    gone(PLY)
+
+
 def no_cameras_and_regions() -> None:
     gone("scene/language_features")
     gone("scene/sparse")
@@ -304,7 +313,8 @@ def regions_of_three_views() -> None:
 
 CHANGES: dict[str, tuple[Callable[[], object], list[str]]] = {
     "no scene": (lambda: gone("scene"), [BUILT]),
-    "no splat": (lambda: gone(PLY), [BUILT, QUERY, SELECT, "render f.scoup"]),
+    "no splat": (no_splat, [
+        BUILT, QUERY, SELECT, "render f.scoup", "compare f.scoup f.scoup", "compare a.scoup f.scoup"]),
     "no cameras": (lambda: gone("scene/sparse"), [BUILT]),
     "no regions": (lambda: gone("scene/language_features"), [f"{BUILT} --sums s"]),
     "no words": (lambda: gone(TABLE), [QUERY]),

@@ -176,7 +176,7 @@ def test_labels_by_words_of_a_list_and_maps_of_one_camera():
     label = ("label", "f.scoup", "--outputs", "sidecar", "maps", "--out")
     listed = run_json(*label, "listed", "--words", "words.txt")
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
-    given = run_json(*label, "given", "--camera", "view_01", "--", "mug", "kettle")
+    given = run_json("label", "f.scoup", "mug", "kettle", *label[2:], "given", "--camera", "view_01")
     assert given["classes"] == listed["classes"]
     assert {"maps/view_01.png", "maps/coco.json"} == {file for file in given["files"] if "maps" in file}
     assert Path("given/maps/view_01.png").read_bytes() == Path("listed/maps/view_01.png").read_bytes()
