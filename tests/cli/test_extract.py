@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,7 @@ from PIL import Image
 
 from cli_support import FREE, QUICK, plain_photographs, printed, refused, run, run_json, snapshot
 from scoup.cli.options import CLIP_MODEL
-from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import (
-    DetectionStore,
     load_cameras,
     load_gaussians,
     load_regions,
@@ -27,7 +24,6 @@ from scoup.io import (
 from scoup.io.regions.manifest import MANIFEST
 from scoup.query import LanguageField
 from scoup.scene import Detections
-from scoup.uplift.naming import things_in_view
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -67,20 +63,12 @@ def test_extract_from_photographs_alone() -> None:
         assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
 
 
-def test_regions_picture() -> None:
-    photographs()
-    run_json("extract", "scene", *FREE, "--out", "regions")
-    record = run_json("extract", "scene", "--show", "view_00.png", "--out", "regions")
-    assert set(record["covered"].values()) == {1}
-    with Image.open("view_00_regions.png") as picture:
-        assert picture.size[0] == 1800
-        assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
-
-
-def test_convert_into_a_folder_that_extract_has_made() -> None:
+def test_regions_are_shown_and_replaced_by_a_conversion() -> None:
     Path("scene/language_features").rename("langsplat")
     plain_photographs()
     run_json("extract", "scene", *FREE, "--out", "regions")
+    shown = run_json("extract", "scene", "--show", "view_00.png", "--out", "regions")
+    assert set(shown["covered"].values()) == {1}
     assert "made with other settings" in refused("convert", "langsplat", "regions")
     run_json("convert", "langsplat", "regions", "--overwrite")
     assert len(load_regions("regions", load_cameras("scene"))) == 4
@@ -151,37 +139,25 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
 
 
 def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Boxes are those of the things as the field without names shows them."""
-    run_json("build", "scene", *QUICK, "--out", "plain.scoup", "--no-check-fit")
-    field = LanguageField.load("plain.scoup")
-    table, cameras = field.thing_table, list(field.cameras or ())
-    assert table is not None
-    views = [things_in_view(field.gaussians, table, camera, field.raster_preset) for camera in cameras]
-    thing = int(torch.stack([view.masks.sum((1, 2)) for view in views]).sum(0).argmax())
-    boxes = iter([view.boxes[thing] for view in views])
-
     class Finder:
         def to_dict(self) -> dict[str, str]:
             return {}
 
         def detect(self, image: np.ndarray, texts: Sequence[str]) -> Detections:
             height, width = image.shape[:2]
-            rows = torch.full((1,), texts.index("robot"))
-            return Detections(rows, torch.tensor([0.7]), next(boxes)[None], (width, height))
+            rows, box = torch.full((1,), texts.index("robot")), torch.tensor([[0.0, 0, width, height]])
+            return Detections(rows, torch.tensor([0.7]), box, (width, height))
 
     monkeypatch.setattr("scoup.models.open_concepts", lambda name, device: Finder())
     Path("words.txt").write_text("kettle\nrobot\n")
     said = run_json("extract", "scene", *FREE, "--out", "regions", "--concepts", "words.txt", "--part", "1/1")
-    assert (said["concepts"]["words"], said["concepts"]["made"]) == (2, len(cameras))
-    Path("regions/concepts").rename("scene/language_features/concepts")
-    assert DetectionStore.beside(Path("scene/language_features")) is not None
-    run_json("build", "scene", *QUICK, "--out", "named.scoup", "--no-check-fit")
-    named = LanguageField.load("named.scoup").thing_table
-    assert named is not None
-    assert named.names is not None
-    assert named.names.texts == ("kettle", "robot")
-    assert int(named.names.votes_of(1, len(named)).argmax()) == thing
-    assert float(named.names.presence[0]) == 0 < float(named.names.presence[1])
+    assert (said["concepts"]["words"], said["concepts"]["made"]) == (2, 4)
+    run_json("build", "scene", *QUICK, "--features", "regions", "--out", "named.scoup", "--no-check-fit")
+    table = LanguageField.load("named.scoup").thing_table
+    assert table is not None
+    assert table.names is not None
+    assert table.names.texts == ("kettle", "robot")
+    assert float(table.names.presence[0]) == 0 < float(table.names.presence[1])
 
 
 # ---- views of a splat alone
@@ -244,16 +220,11 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
         assert "scoup extract" not in said  # which the build does itself
 
 
-def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_views_that_are_not_whole_are_replaced_on_request() -> None:
     run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
     Path("alone_views/transforms.json").unlink()
-    monkeypatch.setattr(
-        "scoup.cli.views.MakeViews",
-        partial(MakeViews, view=OwnViews(width=24, height=18, views=2, up=(0, -1, 0))),
-    )
-    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
-    assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)
-    assert run_json(*build, "--overwrite")["views"] == 2
+    said = refused("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    assert "alone_views/views.png: already exists; pass --overwrite" in said
 
 
 @pytest.mark.parametrize(("options", "sign"), [((), -1), (("--keep-axes",), 1)])

@@ -66,9 +66,8 @@ def stuck(*arguments: object) -> Iterator[Popen[str]]:
 KEPT = "error: {}; 2 of 4 views are kept, run the same command again to continue\n"
 STOPS = {
     "interrupted": (KEEP, signal.SIGINT, 130, KEPT.format("interrupted"), {"sums"}),
-    "terminated": (KEEP, signal.SIGTERM, 143, KEPT.format("terminated"), {"sums"}),
     "killed": (KEEP, signal.SIGKILL, -9, "", {"sums", ".a.scoup.work.lock"}),
-    "interrupted, none kept": (BUILD, signal.SIGINT, 130, "error: interrupted; nothing was written\n", set()),
+    "terminated, none kept": (BUILD, signal.SIGTERM, 143, "error: terminated; nothing was written\n", set()),
 }
 """The build, the signal, the exit code, what is said, and what is left: else neither locks nor temporary files."""
 

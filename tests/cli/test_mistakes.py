@@ -256,9 +256,9 @@ def gone(file: str) -> None:
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("file", [TABLE, PLY, "f.scoup"])
-@pytest.mark.parametrize(("command", "damage"), [
-    (QUERY, cut), (QUERY, emptied), (QUERY, text), (QUERY, a_folder), (SELECT, cut), (RENDER, text),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "damage"), [(QUERY, cut), (QUERY, a_folder), (SELECT, emptied), (RENDER, text)]
+)
 def test_damaged_inputs_of_verbs_that_ask(command: str, damage: Callable[[str], None], file: str) -> None:
     """What is wrong with the bytes, other libraries say in words of their own."""
     damage(file)

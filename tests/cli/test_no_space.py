@@ -13,11 +13,13 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 import scoup.io as scoup_io
+import scoup.raster
 from children import finished
 from cli_support import QUICK, RUN, plain_photographs, run, snapshot
 from scoup.base import WriteError, atomic_file, staged
@@ -151,6 +153,20 @@ def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: 
     assert (code, len(err.splitlines())) == (2, 1), err
     assert f"cannot be written, {here} is read-only for you; choose another folder" in err
     assert snapshot(here) == before
+
+
+@pytest.mark.usefixtures("here")
+def test_an_input_that_vanishes_during_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    file, project = Path("scene/language_features/view_03_f.npy"), scoup.raster.project
+
+    def projected(*scene: Any, **options: Any) -> Any:
+        file.unlink(missing_ok=True)
+        return project(*scene, **options)
+
+    monkeypatch.setattr("scoup.raster.project", projected)
+    said = f"error: {file}: disappeared while being read; restore it and retry\n"
+    assert run(*VERBS["build from sums"][:-2]) == (2, "", said)
+    assert not Path("a.scoup").exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

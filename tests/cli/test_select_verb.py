@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, printed, refused, run, run_json
+from cli_support import QUICK, refused, run, run_json
 from scoup.io import PlyTable, load_gaussians
 from scoup.query import LanguageField, Reshaping, edited
 from scoup.query.edits import Edit
@@ -60,12 +59,9 @@ def test_rows_that_are_not_finite_belong_to_nobody():
     data = table.rows.copy()
     data["x"][7] = np.nan
     table.__class__(table.path, data).write("scene/point_cloud.ply", overwrite=True)
-    code, _, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
-    assert (code, len(err.splitlines())) == (0, 1)
+    run_json("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
     code, _, err = run("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
-    assert code == 0
-    assert len(err.splitlines()) == 1  # one warning, though the file is read twice
-    assert len(PlyTable.read("live.ply")) == 150
+    assert (code, len(err.splitlines())) == (0, 1)  # one warning, though the file is read twice
     assert PlyTable.read("live.ply").rows["state"][7] == 0
     run_json("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
     assert np.isfinite(PlyTable.read("rest.ply").rows["x"]).all()
@@ -80,12 +76,10 @@ def test_a_field_on_a_splat_of_another_format(splat: str, out: str):
 
 
 def test_things_answer_and_votes_above_a_threshold():
-    ask = ("select", "f.scoup", "kettle", "mug", "--out", "a.ply", "--overwrite")
-    texts = lambda *options: run_json(*ask, *options)["texts"]  # noqa: E731
+    ask = ("select", "f.scoup", *TEXTS, "--out", "a.ply", "--overwrite")
     field = LanguageField.load("f.scoup")
-    assert texts() == {text: field.answer(text).to_dict() for text in ("kettle", "mug")}
-    assert all(one["things"] and "threshold" not in one for one in texts().values())
-    for one in texts("--threshold", "0.55").values():
+    assert run_json(*ask)["texts"] == {text: field.answer(text).to_dict() for text in TEXTS}
+    for one in run_json(*ask, "--threshold", "0.55")["texts"].values():
         assert (one["threshold"], one["things"]) == (0.55, [])
     assert len({run_json(*ask, "--level", level)["selected"] for level in "sml"}) > 1
 
@@ -136,22 +130,16 @@ def test_scenes_are_recoloured_and_faded(edit: Edit, options: dict[str, Any]) ->
     found = load_gaussians("a.ply")
     assert torch.allclose(found.sh, wanted.sh, atol=1e-6)
     assert torch.allclose(found.opacities, wanted.opacities, atol=1e-6)
-    before, after = PlyTable.read("scene/point_cloud.ply").rows, PlyTable.read("a.ply").rows
-    touched = ("f_dc", "f_rest") if edit == "recolor" else ("opacity",)
-    for name in before.dtype.names or ():
-        assert name.startswith(touched) or (before[name] == after[name]).all()
 
 
 def test_a_picture_shows_before_and_after():
     select = ("select", "f.scoup", "kettle", "--edit", "remove", "--out", "a.splat", "--picture", "a.png")
     record = run_json(*select, "--metres-per-unit", "2")
     with Image.open("a.png") as picture:
-        assert picture.width == 1500
         pixels = np.asarray(picture).astype(int)
     assert len(load_gaussians("a.splat")) == record["written"] == 150 - record["selected"]
     place = record["place"]
     assert place["position_metres"] == pytest.approx([2 * part for part in place["position"]], rel=1e-4)
-    assert place["extent_metres"] == pytest.approx([2 * part for part in place["box"]["extent"]], rel=1e-4)
     third = pixels.shape[1] // 3
     assert np.abs(pixels[60:, 12 : third - 12] - pixels[60:, 2 * third + 12 : 3 * third - 12]).max() > 30
 
@@ -159,23 +147,13 @@ def test_a_picture_shows_before_and_after():
 # ---- label
 
 
-def test_labels_are_those_of_the_field():
-    labels = LanguageField.load("f.scoup").label(["kettle", "mug"])
-    out = printed("label", "f.scoup", "kettle", "mug")
-    assert [len(things) for things in labels.things] == [1, 1]
-    for text, (thing,) in zip(TEXTS, labels.things, strict=True):
-        assert f"{text}: {labels.counts()[text]} Gaussians, thing {thing}\n" in out
-    assert f"none of these: {labels.counts()['none']} Gaussians" in out
-    classes = json.loads(Path("f_labels/labels.json").read_text())["classes"]
-    assert [one["things"] for one in classes] == [list(things) for things in labels.things]
-    assert len(load_gaussians("f_labels/colored.ply")) == 150
-
-
 def test_labels_by_words_of_a_list_and_maps_of_one_camera():
     Path("words.txt").write_text("mug\n\nkettle\nmug\n")
     label = ("label", "f.scoup", "--outputs", "sidecar", "maps", "--out")
     listed = run_json(*label, "listed", "--words", "words.txt")
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
+    labels = LanguageField.load("f.scoup").label(["mug", "kettle"])
+    assert [one["things"] for one in listed["classes"]] == [list(things) for things in labels.things]
     given = run_json("label", "f.scoup", "mug", "kettle", *label[2:], "given", "--camera", "view_01")
     assert given["classes"] == listed["classes"]
     assert {"maps/view_01.png", "maps/coco.json"} == {file for file in given["files"] if "maps" in file}
@@ -188,11 +166,3 @@ def test_without_cameras_there_is_no_sheet():
     LanguageField(*parts).save("bare.scoup")
     command = ("label", "bare.scoup", "kettle", "--text", "scene/words.npz", "--out", "a")
     assert "labels.png" not in run_json(*command)["files"]
-
-
-def test_select_takes_phrases():
-    select = ("select", "f.scoup", "largest mug", "--always", "--out", "m.ply", "--seen-from", "view_01")
-    out = run(*select)[1]
-    field = LanguageField.load("f.scoup")
-    whole = field.things(field.question("mug", always=True))
-    assert f"m.ply: {max(whole, key=lambda thing: thing.size).n_gaussians} Gaussians" in out
