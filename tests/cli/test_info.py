@@ -151,13 +151,14 @@ def test_unreadable_photographs_are_counted_by_info():
         jpeg.write(b"behind the end, as phones write it")
     record = run_json("info", "scene")
     assert (record["with_image"], "unreadable" in record) == (4, False)
-    (images / "view_01.webp").write_bytes((images / "view_01.webp").read_bytes()[:50])
-    (images / "view_02.tif").write_text("these are not the bytes you are looking for\n")
+    for name in ("view_01.webp", "view_03.png"):
+        content = (images / name).read_bytes()
+        (images / name).write_bytes(content[: len(content) * 3 // 5])
     record = run_json("info", "scene")
     assert (record["cameras"], record["with_image"], record["unreadable_photographs"]) == (4, 3, 2)
     first, second = record["unreadable"]
-    assert first.startswith("view_01.webp cannot be decoded")
-    assert second == "view_02.tif is not an image that can be read"
+    assert first.startswith("view_01.webp ")
+    assert second.startswith("view_03.png cannot be decoded")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")

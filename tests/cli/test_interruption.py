@@ -16,6 +16,7 @@ from children import child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from messages import check_message
 from scoup.base import locked, reserved_output
+from scoup.cli.stop import stop_on_signals
 from scoup.io import RegionStore, load_gaussians, save_gaussians
 
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
@@ -218,3 +219,13 @@ def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> 
     assert (done.returncode, done.stderr) == (128 + number, "")
     # The import was not cut short, the output not left.
     assert names() - before - {"__pycache__"} == {"whole"}
+
+
+def test_who_ignores_interruptions_still_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As jobs in the background of a shell."""
+    handlers = {signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_DFL}
+    monkeypatch.setattr("signal.signal", handlers.__setitem__)
+    monkeypatch.setattr("signal.getsignal", handlers.__getitem__)
+    stop_on_signals()
+    assert handlers[signal.SIGINT] is signal.SIG_IGN
+    assert handlers[signal.SIGTERM] is not signal.SIG_DFL

@@ -288,10 +288,7 @@ def cameras_that_see_nothing() -> None:
 
 
 def no_splat() -> None:
-    field = LanguageField.load("f.scoup")
-    LanguageField(field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians).save(
-        "a.scoup"
-    )
+    LanguageField.load("f.scoup", load_gaussians(PLY)).save("whole.scoup", embed_geometry=True)
     gone(PLY)
 
 
@@ -314,7 +311,7 @@ def regions_of_three_views() -> None:
 CHANGES: dict[str, tuple[Callable[[], object], list[str]]] = {
     "no scene": (lambda: gone("scene"), [BUILT]),
     "no splat": (no_splat, [
-        BUILT, QUERY, SELECT, "render f.scoup", "compare f.scoup f.scoup", "compare a.scoup f.scoup"]),
+        BUILT, QUERY, SELECT, "render f.scoup", "compare f.scoup f.scoup", "compare whole.scoup f.scoup"]),
     "no cameras": (lambda: gone("scene/sparse"), [BUILT]),
     "no regions": (lambda: gone("scene/language_features"), [f"{BUILT} --sums s"]),
     "no words": (lambda: gone(TABLE), [QUERY]),
