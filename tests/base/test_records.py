@@ -1,8 +1,10 @@
-"""Records as JSON, short texts of lists, numbers and tensors, and loops that work ahead."""
+"""Records as JSON, short texts of lists and tensors, loops that work ahead, and errors."""
 
 from __future__ import annotations
 
+import inspect
 import json
+import pickle
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import scoup
+from scoup.base import errors
 from scoup.base.texts import listed, rounded_vector, share_of, spread
 from scoup.base.work import worked_ahead
 from scoup.query import TextVectors
@@ -61,3 +64,37 @@ def test_results_of_a_loop_come_in_order_and_few_are_made_ahead() -> None:
         assert (item, future.result()) == (number, number**2)
         assert len(started) <= number + 4
     assert sorted(started) == list(range(20))
+
+
+# ---- errors travel between processes unchanged
+
+
+ONE_OF_EACH = [
+    errors.ScoupError("said"),
+    errors.InputError("said"),
+    errors.FileFormatError("a.ply", "is damaged", "make it again"),
+    errors.FieldVersionError("a.scoup", 9, 3),
+    errors.MissingFileError("a.ply", "is not there"),
+    errors.OutputExistsError("a.scoup"),
+    errors.WriteError("a.scoup", "No space left on device", "free some space"),
+    errors.OutputInUseError("a.scoup"),
+    errors.UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
+]
+
+
+def test_a_file_that_vanished_is_named() -> None:
+    said = "a.ply: disappeared while being read; restore it and retry"
+    assert str(errors.refused_read("a.ply", FileNotFoundError("a.ply"))) == said
+
+
+def test_each_can_be_sent() -> None:
+    classes = [item for _, item in inspect.getmembers(errors, inspect.isclass)]
+    assert {type(error) for error in ONE_OF_EACH} == {
+        item for item in classes if issubclass(item, errors.ScoupError)
+    }
+    for error in ONE_OF_EACH:
+        other = pickle.loads(pickle.dumps(error))
+        assert type(other) is type(error)
+        assert str(other) == str(error)
+        assert vars(other) == vars(error)
+        assert str(pickle.loads(pickle.dumps(other))) == str(error)

@@ -194,14 +194,6 @@ def test_images_outside_of_the_scene_are_not_opened(path):
     assert run_json("info", "scene/transforms.json")["with_image"] == 2
 
 
-def test_images_linked_into_the_scene_are_opened():
-    shutil.move("scene/images", "elsewhere")
-    Path("scene/images").symlink_to(Path("elsewhere").absolute())
-    outside_transforms(str(Path("scene/images/view_00.png").absolute()))
-    record = run_json("info", "scene/transforms.json")
-    assert (record["with_image"], "warnings" in record) == (2, False)
-
-
 @pytest.mark.parametrize("file", ["other/sparse/0/images.bin", "other/cameras.json"])
 def test_names_of_colmap_and_inria_that_leave_the_scene(file):
     cameras = Cameras(replace(camera, name=f"../{camera.name}") for camera in load_cameras("scene"))
