@@ -45,8 +45,9 @@ def field(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> scoup.Languag
 def test_a_labelled_object_is_the_answer_and_the_best_thing(
     desk: Path, field: scoup.LanguageField, name: str
 ) -> None:
+    assert field.cameras is not None
     best, overlaps = field.things([name])[0], []
-    for frame, camera in match_frames(read_labels(desk / "label"), field.cameras or ()):
+    for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
         view = field.at(camera)
         masks = view.answer(name).mask, view.mask_of(best.gaussians)

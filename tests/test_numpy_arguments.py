@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import torch
 
@@ -9,7 +11,7 @@ import scoup
 from scoup.models import CANONICAL_PHRASES
 from support import small_scene, unit
 
-gaussians, cameras, regions = small_scene(count=60, views=2)
+gaussians, cameras, regions = cast(Any, small_scene(count=60, views=2))
 
 
 def test_a_field_from_arrays_is_the_same_field():

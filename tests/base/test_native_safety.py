@@ -96,12 +96,13 @@ SPOILED = {
 
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "viewmat"])
 def test_arrays_that_do_not_fit_are_refused_by_name(name):
-    array = scene_arrays()[name]
+    array: Any = scene_arrays()[name]
     for why, spoil in SPOILED.items():
         spoiled: Any = {name: spoil(array)}
         with pytest.raises(ValueError, match=f"^{name} must be .*{why}"):
             project(**spoiled)
-    for other in (array.astype(array.dtype.newbyteorder(">")), array.astype(str), array.tolist(), None):
+    others: list[Any] = [array.astype(array.dtype.newbyteorder(">")), array.astype(str), array.tolist(), None]
+    for other in others:
         with pytest.raises(TypeError, match=f"{name}: ndarray"):
             project(**{name: other})
 

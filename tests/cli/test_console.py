@@ -102,7 +102,7 @@ def test_errors_are_one_line_and_one_object(capsys, error, code, said):
 
 def test_faults_of_the_program_are_not_hidden():
     with pytest.raises(ZeroDivisionError):
-        run_verb(Common(), lambda console: 1 / 0)
+        run_verb(Common(), lambda console: 1 // 0)
 
 
 def test_file_names_of_texts():
