@@ -67,6 +67,13 @@ def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch
     assert sorted(rest) == sorted([*passed, "--device", "cpu", "--overwrite", "--json"])
 
 
+def test_fields_that_name_no_words_are_not_archived() -> None:
+    write_scene(Path("scans/a"))
+    code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive")
+    assert code == 2
+    assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
+
+
 def test_a_cluster_that_is_not_there_is_refused_at_once() -> None:
     Path("scans/a").mkdir(parents=True)
     with socket.socket() as closed:

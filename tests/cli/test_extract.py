@@ -221,10 +221,13 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
 
 
 def test_views_that_are_not_whole_are_replaced_on_request() -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
+    views = ("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
+    run_json(*views)
     Path("alone_views/transforms.json").unlink()
     said = refused("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     assert "alone_views/views.png: already exists; pass --overwrite" in said
+    run_json(*views, "--overwrite")
+    assert len(load_cameras("alone_views")) == 2
 
 
 @pytest.mark.parametrize(("options", "sign"), [((), -1), (("--keep-axes",), 1)])

@@ -75,6 +75,13 @@ def test_a_field_on_a_splat_of_another_format(splat: str, out: str):
     assert len(load_gaussians(out)) == count > 0
 
 
+def test_embedded_geometry_serves_where_the_file_is_damaged():
+    run_json("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz", "--embed-geometry")
+    whole = run_json("select", "a.scoup", "kettle", "--out", "a.ply")["written"]
+    Path("scene/point_cloud.ply").write_bytes(b"ply\n")
+    assert run_json("select", "a.scoup", "kettle", "--out", "b.ply")["written"] == whole
+
+
 def test_things_answer_and_votes_above_a_threshold():
     ask = ("select", "f.scoup", *TEXTS, "--out", "a.ply", "--overwrite")
     field = LanguageField.load("f.scoup")
