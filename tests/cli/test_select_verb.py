@@ -126,10 +126,10 @@ def test_a_shape_that_leaves_nothing_is_named():
 
 
 @pytest.mark.parametrize(("edit", "options"), [
-    ("recolor", {"color": (0.0, 1.0, 0.0)}), ("fade", {}), ("fade", {"opacity": 0.5}),
+    ("recolor", {"color": (0.2, 0.4, 1.0)}), ("fade", {}), ("fade", {"opacity": 0.5}),
 ])  # fmt: skip
 def test_scenes_are_recoloured_and_faded(edit: Edit, options: dict[str, Any]) -> None:
-    given = {"color": "#00ff00"} if "color" in options else options
+    given = {"color": "#3366ff"} if "color" in options else options
     more = [part for name, value in given.items() for part in (f"--{name}", value)]
     assert run_json("select", "f.scoup", "kettle", "--edit", edit, *more, "--out", "a.ply")["written"] == 150
     field = LanguageField.load("f.scoup")
