@@ -78,6 +78,14 @@ def test_an_absent_text_selects_nothing() -> None:
 # ---- query
 
 
+def test_many_texts_take_several_sheets():
+    table = WordTable.load("scene/words.npz")
+    names = [f"thing {number}" for number in range(7)]
+    WordTable.save("many.npz", [*table.names, *names], np.concatenate([table.vectors, table.vectors]))
+    record = run_json("query", "f.scoup", *names, "--text", "many.npz")
+    assert record["sheets"] == ["f_queries/sheet_1.png", "f_queries/sheet_2.png"]
+
+
 def test_the_record_of_an_answer():
     record = run_json("query", "f.scoup", "kettle", "--out", "answers", "--pictures", "all")
     (answer,), (place,) = record["answers"], record["places"]

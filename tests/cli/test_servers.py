@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib.util
 import json
 import signal
 import socket
 import sys
+import threading
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from subprocess import PIPE
+from subprocess import PIPE, Popen
 from typing import Any
-from urllib.parse import urlsplit
 
 import pytest
 
@@ -41,8 +44,8 @@ def test_export_prints_sizes() -> None:
     assert out.rstrip().endswith("3 words")
     record = run_json("view", "f.scoup", "--export", "page.html", "--overwrite")
     assert record["bytes"] == Path("page.html").stat().st_size
-    run_json("view", "f.scoup", "--export", "pages", "--split")
-    assert Path("pages").is_dir()
+    folder = run_json("view", "f.scoup", "--export", "pages", "--split")
+    assert folder["bytes"] == sum(path.stat().st_size for path in Path("pages").iterdir())
     Path("words.txt").write_text("mug\n")
     assert run_json("view", "f.scoup", "--export", "own.html", "--words", "words.txt")["words"] == 1
 
@@ -54,28 +57,56 @@ viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
 from scoup.cli.app import entry
 entry()
 """
+SLOW = """
+import sys, time
+from scoup.view.viewed_field import ViewedField
+def answers(*_):
+    print("asked", flush=True)
+    time.sleep(4)  # longer than the server waits for answers
+ViewedField.answers = answers
+"""
 ASKED = json.dumps({"texts": ["kettle"]}).encode()
 
 
-@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
-def test_a_viewer_serves_until_it_is_stopped(stop: signal.Signals, code: int) -> None:
-    command = [sys.executable, "-c", SERVE, "view", "f.scoup", "--port", "0", "--json"]
+@contextmanager
+def served(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
+    """A server in a process of its own, which runs some Python before, and a query to it."""
+    command = [sys.executable, "-c", before + SERVE, "view", "f.scoup", "--port", "0", "--json"]
     with child(command) as process:
         assert process.stdout is not None
         lines = []
         while not lines or lines[-1] != "}\n":
             lines.append(process.stdout.readline())
             assert lines[-1], process.stderr and process.stderr.read()
-        address = json.loads("".join(lines))["address"]
-        # One connection that asks nothing stays open.
-        with (
-            socket.create_connection(("127.0.0.1", urlsplit(address).port or 0)),
-            urllib.request.urlopen(f"{address}api/query", ASKED) as answer,
-        ):
+        yield process, urllib.request.Request(f"{json.loads(''.join(lines))['address']}api/query", ASKED)
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_a_viewer_serves_until_it_is_stopped(stop: signal.Signals, code: int) -> None:
+    with served() as (process, query):
+        with urllib.request.urlopen(query) as answer:
             assert json.load(answer)["answers"][0]["text"] == "kettle"
-            process.send_signal(stop)
-            _, err = process.communicate()
+        process.send_signal(stop)
+        _, err = process.communicate()
     assert (process.returncode, err) == (code, "")
+
+
+def test_a_viewer_stops_quietly_while_requests_wait() -> None:
+    def ask(query: urllib.request.Request) -> None:
+        with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
+            urllib.request.urlopen(query)
+
+    with served(SLOW) as (process, query):
+        visitors = [threading.Thread(target=ask, args=(query,)) for _ in range(3)]
+        for visitor in visitors:
+            visitor.start()
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asked\n"
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate()
+        for visitor in visitors:
+            visitor.join()
+    assert (process.returncode, err) == (143, "")
 
 
 # ---- mcp
@@ -172,7 +203,13 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
 
 
 @needs_mcp
-def test_servers_that_cannot_be_reached_are_refused() -> None:
+def test_ports_that_cannot_be_served_are_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert "in use" in refused("mcp", "f.scoup", "--http", taken.getsockname()[1])
-    assert "--quiet hides the token" in run("mcp", "f.scoup", "--http", "0", "--quiet")[2]
+
+
+@needs_mcp
+def test_a_token_that_nobody_sees_is_refused() -> None:
+    code, _, err = run("mcp", "f.scoup", "--http", "0", "--quiet")
+    assert code == 2
+    assert "--quiet hides the token" in err
