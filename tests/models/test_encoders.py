@@ -85,7 +85,9 @@ def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None
         damage()
         with pytest.raises(ScoupError, match="cannot be loaded"):
             TextEncoder.open(broken)
-    config = transformers.BertConfig(vocab_size=7, **tiny_models.TINY, hidden_size=16, intermediate_size=16)
+    config = transformers.BertConfig(
+        vocab_size=7, hidden_size=16, num_hidden_layers=1, num_attention_heads=2, intermediate_size=16
+    )
     transformers.BertModel(config).save_pretrained(tmp_path / "bert")
     tiny_tokenizer(tmp_path / "bert", WORDS)
     with pytest.raises(ScoupError, match="no text features"):

@@ -97,7 +97,7 @@ def sphere(radius: float, centre: ArrayLike = (0, 0, 0), count: int = 300) -> Me
     turn, high = number * np.pi * (1 + 5**0.5), 1 - 2 * number / count
     level = np.sqrt(1 - high**2)
     outwards = np.stack([level * np.cos(turn), level * np.sin(turn), high], 1)
-    faces = ConvexHull(outwards).simplices
+    faces = ConvexHull(outwards).simplices.astype(np.int64)
     inwards = np.linalg.det(outwards[faces]) < 0
     faces[inwards] = faces[inwards, ::-1]
     return Mesh(outwards * radius, outwards, faces).moved(centre)
