@@ -1,4 +1,4 @@
-"""Spherical k-means: clear clusters, degenerate rows."""
+"""Spherical k-means: clear clusters, degenerate rows, determinism."""
 
 from __future__ import annotations
 
@@ -45,3 +45,10 @@ def test_identical_and_few_rows(backend: str, count: int, distinct: int) -> None
     atoms = centres_of(rows, 8, backend=backend)
     assert atoms.shape == (8, 5)
     torch.testing.assert_close((rows @ atoms.T).amax(1), torch.ones(count))
+
+
+def test_same_seed_same_atoms(backend: str) -> None:
+    rows = clip_like(200, 8, objects=60)
+    first, again, other = (centres_of(rows, 12, seed, backend=backend) for seed in (5, 5, 6))
+    assert first.equal(again)
+    assert not first.equal(other)

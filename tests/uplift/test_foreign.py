@@ -134,9 +134,9 @@ def test_unknown_rows_have_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
     rows[3], rows[50], rows[99] = 0, torch.nan, torch.inf
     field = field_from_features(some_gaussians(100, 0), rows, n_atoms=12, k=2)
     assert (~field.coded()).nonzero()[:, 0].tolist() == [3, 50, 99]
-    for wrong, how in ((torch.zeros(100, 8), {}), (rows[:99], {}), (rows, {"levels": ("a", "b")})):
+    for wrong, levels in ((torch.zeros(100, 8), None), (rows[:99], None), (rows, ("a", "b"))):
         with refuses():
-            field_from_features(some_gaussians(100, 0), wrong, **how)
+            field_from_features(some_gaussians(100, 0), wrong, levels=levels)
 
 
 def test_arrays_are_read_from_files(tmp_path: Path) -> None:

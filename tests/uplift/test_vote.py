@@ -188,9 +188,9 @@ def sums_of(weights: Tensor) -> RegionSums:
     """One level, one view: what each Gaussian contributes to each region [N, R]."""
     count, regions = weights.shape
     sums = RegionSums("", torch.arange(count), ["m"])
-    at = weights.nonzero(as_tuple=True)
+    gaussian, region = weights.nonzero(as_tuple=True)
     table = torch.arange(regions, dtype=torch.int32)[:, None]
-    sums.append("v", ViewSums(*merge(*at, weights[at], regions), table))
+    sums.append("v", ViewSums(*merge(gaussian, region, weights[gaussian, region], regions), table))
     sums.rows = [{"v": slice(0, regions)}]
     return sums
 
