@@ -306,11 +306,9 @@ def test_presets():
     assert sizes == [(3, 3, 3), (2, 2, 2), (5, 4, 4)]
     with refuses(UnknownNameError):
         build_settings("papers")
-    for wrong in (
-        {"n_atoms": 5, "k": 8},
-        {"rounds": 0},
-        *({"scale": scale} for scale in (0, 1.5, -1, "half")),
-    ):
+    mistakes: list[dict[str, Any]] = [{"n_atoms": 5, "k": 8}, {"rounds": 0}]
+    mistakes += [{"scale": scale} for scale in (0, 1.5, -1, "half")]
+    for wrong in mistakes:
         with refuses():
             build_settings(**wrong)
 
