@@ -80,35 +80,28 @@ GSPLAT: dict[str, Callable[[Path], Path]] = {
 }  # fmt: skip
 
 
-def damaged_splatfacto(folder: Path, damage: str) -> Path:
+def damaged_splatfacto(folder: Path, changes: dict[str, Any] | None) -> Path:
     path = folder / "step-000000009.ckpt"
     save_splatfacto(some_gaussians(9, 0), path)
-    found = torch.load(path, weights_only=True)
-    if damage == "scales":
-        found["pipeline"]["_model.gauss_params.scales"] = torch.zeros(8, 3)
-        return torch_file(path.name, folder, found)
-    return torch_file(path.name, folder, {"step": 1})
+    valid = torch.load(path, weights_only=True)["pipeline"]
+    return torch_file(path.name, folder, {"pipeline": None if changes is None else {**valid, **changes}})
 
 
-def damaged_langsplat(folder: Path, damage: tuple[int, Any]) -> Path:
-    place, value = damage
+def damaged_langsplat(folder: Path, damage: tuple[slice, list[Any]]) -> Path:
     entries = list(captured(some_gaussians(7, 1))[0])
-    entries[place : place + 1] = [value]
+    entries[damage[0]] = damage[1]
     return torch_file("a.pth", folder, (tuple(entries), 10000))
 
 
-def cut_langsplat(folder: Path, kept: slice) -> Path:
-    entries = captured(some_gaussians(7, 1))[0]
-    return torch_file(
-        "a.pth", folder, ((*entries[:7], *entries[9:]) if kept.stop == 7 else entries[kept], 10000)
-    )
 
 
 LANGSPLAT = {
-    "features": (1, torch.zeros(6, 3)), "logits": (7, torch.zeros(7, 9)), "codebooks": (8, torch.zeros(8, 16)),
-    "nan": (8, torch.full((1, 8, 16), torch.nan)), "claimed": (1, torch.zeros(1, 1).expand(10**9, 3)),
-    "text": (4, "scales"), "objects": (13, Runs()),
-}  # fmt: skip
+    name: (slice(place, place + 1), [value]) for name, place, value in (
+        ("features", 1, torch.zeros(6, 3)), ("logits", 7, torch.zeros(7, 9)), ("codebooks", 8, torch.zeros(8, 16)),
+        ("nan", 8, torch.full((1, 8, 16), torch.nan)), ("claimed", 1, torch.zeros(1, 1).expand(10**9, 3)),
+        ("text", 4, "scales"), ("objects", 13, Runs()),
+    )
+} | {"no features": (slice(7, 9), []), "five": (slice(5, None), [])}  # fmt: skip
 AUTOENCODER = {
     "encoder": {"encoder.0.weight": torch.zeros(3, 3)}, "bias": {"decoder.0.weight": torch.zeros(3, 3)},
     "sizes": {"decoder.0.weight": torch.zeros(4, 3), "decoder.0.bias": torch.zeros(4),
@@ -116,10 +109,10 @@ AUTOENCODER = {
     "list": [1, 2], "objects": nn.Linear(2, 2),
 }  # fmt: skip
 
+SPLATFACTO = {"scales": {"_model.gauss_params.scales": torch.zeros(8, 3)}, "pipeline": None}
 KINDS = {
     "gsplat": Kind(lambda folder, make: make(folder), load_gaussians, GSPLAT),
-    "nerfstudio": Kind(damaged_splatfacto, load_gaussians, {"scales": "scales", "pipeline": "pipeline"}),
+    "nerfstudio": Kind(damaged_splatfacto, load_gaussians, SPLATFACTO),
     "LangSplatV2": Kind(damaged_langsplat, read_langsplat, LANGSPLAT),
-    "cut LangSplatV2": Kind(cut_langsplat, read_langsplat, {"features": slice(7), "more": slice(5)}),
     "autoencoder": Kind(partial(torch_file, "a.pth"), read_autoencoder, AUTOENCODER),
 }

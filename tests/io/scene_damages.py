@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import load_file, save_file
-from splat_damages import Change, Kind, written
+from safetensors.numpy import load_file, save
+from splat_damages import Change, Kind, altered, written
+from tests.fuzzing.containers import SEALED
 
 from io_samples import (
-    MANIFEST_OF_TESTS,
     planes_of,
     save_compact,
     save_images,
@@ -65,17 +67,13 @@ CFG_ARGS = {
 def cut_names(folder: Path, name: str) -> Path:
     """Cameras whose names Inria's code has cut to one."""
     write_inria_cameras(some_cameras(2), folder / "cameras.json")
-    text = (folder / "cameras.json").read_text()
-    return written(
-        "cameras.json", folder, text.replace("view_01.png", name).replace("view_00.png", name).encode()
-    )
+    text = re.sub(r"view_0[01]\.png", name, (folder / "cameras.json").read_text())
+    return text_file("cameras.json", folder, text)
 
 
 def damaged_model(folder: Path, damage: tuple[str, Change]) -> Path:
-    name, change = damage
-    write_colmap(some_cameras(2), folder, (np.ones((2, 3)), np.ones((2, 3), np.uint8)))
-    (folder / name).write_bytes(change((folder / name).read_bytes()))
-    return folder
+    points = np.ones((2, 3)), np.ones((2, 3), np.uint8)
+    return altered(damage[0], lambda _: write_colmap(some_cameras(2), folder, points))(folder, damage[1]).parent
 
 
 MODEL = {
@@ -98,9 +96,8 @@ LENSES = {
 
 
 def lens_of_colmap_4(folder: Path, lens: tuple[int, int]) -> Path:
-    number, parameters = lens
     write_colmap(CAMERA, folder)
-    row = struct.pack(f"<QiiQQ{parameters}d", 1, 1, number, 480, 360, *[433.0] * parameters)
+    row = struct.pack(f"<QiiQQ{lens[1]}d", 1, 1, lens[0], 480, 360, *[433.0] * lens[1])
     return written("cameras.bin", folder, row).parent
 
 
@@ -108,19 +105,16 @@ def impossible_lens(folder: Path, line: str) -> Path:
     """Of cameras that are brought to the size of their images, half of their own."""
     write_colmap_text(CAMERA, folder / "sparse" / "0")
     save_images(CAMERA, folder / "images", divisor=2)
-    written("sparse/0/cameras.txt", folder, line.encode())
+    text_file("sparse/0/cameras.txt", folder, line)
     return folder
 
 
-IMPOSSIBLE = {
-    "lengths": "1 PINHOLE 32 24 5e-324 5e-324 16 12\n",
-    "size": "1 PINHOLE 100000 75000 9 9 16 12\n",
-}
+IMPOSSIBLE = {"lengths": "1 PINHOLE 32 24 5e-324 5e-324 16 12\n", "size": "1 PINHOLE 100000 75000 9 9 16 12\n"}
 
 
 def damaged_tracks(folder: Path, line: str) -> Path:
     text_model(folder, "1 PINHOLE 32 24 9 9 16 12", "3 1 0 0 0 0 0 0 1 a.png\n\n")
-    return written("points3D.txt", folder, line.encode()).parent
+    return text_file("points3D.txt", folder, line).parent
 
 
 TRACKS = {
@@ -152,12 +146,12 @@ FRAMES: dict[str, Any] = {
 # ---- regions
 
 
-def damaged_labels(folder: Path, planes: np.ndarray) -> Path:
-    return save_npy(folder, "view_00", planes, unit_rows(4))
+def damaged_view(folder: Path, planes: np.ndarray | None = None, rows: np.ndarray | None = None) -> Path:
+    return save_npy(
+        folder, "view_00", PLANES if planes is None else planes, unit_rows(4) if rows is None else rows
+    )
 
 
-def damaged_rows(folder: Path, rows: np.ndarray) -> Path:
-    return save_npy(folder, "view_00", planes_of([0], [1], [2], [3]), rows)
 
 
 def load_view(folder: Path) -> None:
@@ -181,33 +175,35 @@ ROWS = {
 
 
 def damaged_header(folder: Path, change: dict[str, Any]) -> Path:
-    """A file whose header, or whose embeddings of the small level, are others."""
+    """A file with a header of other values, and checksums that fit."""
     save_compact(folder, CAMERA, bits=16)
-    path = folder / "view_00.regions"
-    tensors, header = load_file(path), {
-        "schema": "scoup.regions", "version": 1, "view": "view_00.png", "width": 32, "height": 24,
-        "levels": list(LEVELS), "manifest": MANIFEST_OF_TESTS.fingerprint,
-    }  # fmt: skip
-    if "rows" in change:
-        tensors["embeddings.s"] = change["rows"](tensors["embeddings.s"])
-    save_file(
-        tensors, path, {"scoup": json.dumps(header | {key: change[key] for key in change if key != "rows"})}
-    )
-    return folder
+    whole = (folder / "view_00.regions").read_bytes()
+    header, body = SEALED.split(whole)
+    parts = [json.dumps({**json.loads(header), **change}).encode(), body]
+    return written("view_00.regions", folder, SEALED.join(whole, parts)).parent
+
+
+def damaged_embeddings(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> Path:
+    """Of the small level."""
+    header = SEALED.split(damaged_header(folder, {}).joinpath("view_00.regions").read_bytes())[0]
+    tensors = load_file(folder / "view_00.regions")
+    tensors["embeddings.s"] = change(tensors["embeddings.s"])
+    whole = save(tensors, {"scoup": header.decode()})
+    return written("view_00.regions", folder, SEALED.join(whole, SEALED.split(whole))).parent
 
 
 HEADERS: dict[str, dict[str, Any]] = {
     "size": {"width": 90_000, "height": 90_000}, "larger": {"width": 33, "height": 25},
     "smaller": {"width": 31, "height": 23}, "width 0": {"width": 0}, "no levels": {"levels": []},
     "other levels": {"levels": ["s", "m", "x"]}, "two levels": {"levels": ["s", "m"]}, "version 2": {"version": 2},
-    "version text": {"version": "1"}, "schema": {"schema": "other"}, "rows": {"rows": lambda rows: rows[:2]},
-    "nan": {"rows": lambda rows: rows * np.nan},
+    "version text": {"version": "1"}, "schema": {"schema": "other"},
 }  # fmt: skip
+EMBEDDINGS = {"rows": lambda rows: rows[:2], "nan": lambda rows: rows * np.float16(np.nan)}
 
 
 def damaged_manifest(folder: Path, text: str) -> Path:
     save_compact(folder, CAMERA)
-    return written(MANIFEST, folder, text.encode()).parent
+    return text_file(MANIFEST, folder, text).parent
 
 
 MANIFESTS = {
@@ -217,21 +213,11 @@ MANIFESTS = {
 
 # ---- labelled points
 
-POINT_HEADER = """ply
-format {encoding} 1.0
-element vertex {count}
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-property uchar alpha
-property ushort label
-element face 1
-property list uchar int vertex_indices
-end_header
-"""
+POINT_HEADER = "\n".join([
+    "ply", "format {encoding} 1.0", "element vertex {count}", *(f"property float {axis}" for axis in "xyz"),
+    *(f"property uchar {color}" for color in ("red", "green", "blue", "alpha")), "property ushort label",
+    "element face 1", "property list uchar int vertex_indices", "end_header", "",
+])  # fmt: skip
 TEXT = POINT_HEADER.format(encoding="ascii", count=1)
 LABELLED = {
     "no label": TEXT.replace("property ushort label\n", "") + "1 2 3 0 0 0 255\n3 0 0 0\n",
@@ -246,8 +232,6 @@ def text_file(name: str, folder: Path, text: str) -> Path:
     return written(name, folder, text.encode())
 
 
-def json_file(name: str, folder: Path, content: object) -> Path:
-    return text_file(name, folder, json.dumps(content))
 
 
 KINDS = {
@@ -270,10 +254,12 @@ KINDS = {
     "tracks": Kind(damaged_tracks, read_tracks, TRACKS),
     "similarity": Kind(partial(text_file, "t.txt"), read_similarity, SIMILARITIES),
     "trained frame": Kind(
-        partial(json_file, "a.json"), lambda path: in_trained_frame(some_cameras(2), path), FRAMES),
-    "labels": Kind(damaged_labels, load_view, LABELS),
-    "embeddings": Kind(damaged_rows, load_view, ROWS),
+        lambda folder, record: text_file("a.json", folder, json.dumps(record)),
+        lambda path: in_trained_frame(some_cameras(2), path), FRAMES),
+    "labels": Kind(damaged_view, load_view, LABELS),
+    "embeddings": Kind(lambda folder, rows: damaged_view(folder, rows=rows), load_view, ROWS),
     "header of regions": Kind(damaged_header, load_view, HEADERS),
+    "embeddings of regions": Kind(damaged_embeddings, load_view, EMBEDDINGS),
     "manifest": Kind(damaged_manifest, load_view, MANIFESTS),
     "labelled points": Kind(partial(text_file, "a.ply"), read_labelled_ply, LABELLED),
     "photograph": Kind(partial(written, "a.png"), image_size, {"program": PROGRAM}),

@@ -24,8 +24,6 @@ from scoup.io.splats.spz_container import _unpacked
 from scoup.scene import Gaussians, rotation_matrices, sh_basis
 from support import unit
 
-# Steps of the stored values, halved, with a little for float32.
-
 
 def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
     """One Gaussian, byte by byte: axes right, up, back; x, y, z, w; the largest of the rotation left out."""
@@ -60,29 +58,6 @@ def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
     assert len(body) == 29
 
 
-@pytest.mark.parametrize("version", [2, 3, 4])
-def test_an_independent_library_reads_the_same(tmp_path: Path, version: int) -> None:
-    """gaussforge leaves the axes of the file as they are; the values are the same."""
-    gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
-    given = tame(50, 3, 7)
-    save_spz(given, tmp_path / "a.spz", version)
-    ours = read_spz(tmp_path / "a.spz")
-    library = gaussforge.GaussForge()
-    (tmp_path / "a.ply").write_bytes(library.convert((tmp_path / "a.spz").read_bytes(), "spz", "ply")["data"])
-    theirs = load_gaussians(tmp_path / "a.ply")
-    axes = torch.tensor([1.0, -1.0, -1.0])
-    assert torch.allclose(theirs.means * axes, ours.means, atol=1e-5)
-    assert torch.allclose(theirs.scales, ours.scales, rtol=1e-4)
-    assert torch.allclose(theirs.opacities, ours.opacities, atol=1e-4)
-    turned = torch.cat([theirs.quats[:, :1], theirs.quats[:, 1:] * axes], 1)
-    assert float(angles(turned, ours.quats).max()) < 0.1
-    odd = [1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+"]
-    assert torch.allclose(theirs.sh[:, 1:] * torch.tensor(odd)[:, None], ours.sh[:, 1:], atol=1e-5)
-    write_ply(given, tmp_path / "b.ply")
-    (tmp_path / "b.spz").write_bytes(library.convert((tmp_path / "b.ply").read_bytes(), "ply", "spz")["data"])
-    written = read_spz(tmp_path / "b.spz")
-    assert torch.allclose(written.means * axes, given.means, atol=2**-12)
-    assert torch.allclose(written.opacities, ours.opacities, atol=1e-2)
 
 
 def test_colours_turn_with_the_axes() -> None:
@@ -199,10 +174,11 @@ def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [3, 4])
 def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None:
     """Gaussians that are all alike, which take next to no bytes: some are read, very many are not."""
-    one = some_gaussians(1, degree=0)
+    one, path = some_gaussians(1, degree=0), tmp_path / "a.spz"
     for count in (50_000, 300_000):
         many = Gaussians(*(part.expand(count, *part.shape[1:]) for part in one.tensors().values()))
-        write_spz(many, tmp_path / f"{count}.spz", version=version)
-    assert len(load_gaussians(tmp_path / "50000.spz")) == 50_000
+        write_spz(many, path, overwrite=True, version=version)
+        if count == 50_000:
+            assert len(load_gaussians(path)) == count
     with pytest.raises(FileFormatError, match="says 300,000 Gaussians, more than"):
-        load_gaussians(tmp_path / "300000.spz")
+        load_gaussians(path)
