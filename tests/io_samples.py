@@ -29,6 +29,13 @@ from scoup.scene import (
 )
 
 MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
+TURNED = np.array([[0, -2.0, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])
+APPLIED = [[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]  # of ns-process-data
+POINT_HEADER = "\n".join([
+    "ply", "format {encoding} 1.0", "element vertex {count}", *(f"property float {axis}" for axis in "xyz"),
+    *(f"property uchar {color}" for color in ("red", "green", "blue", "alpha")), "property ushort label",
+    "element face 1", "property list uchar int vertex_indices", "end_header", "",
+])  # fmt: skip
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scene_damages import APPLIED
 from scipy.spatial.transform import Rotation
 
 from io_samples import (
+    APPLIED,
     camera_difference,
     save_images,
     some_cameras,
@@ -25,11 +25,12 @@ from io_samples import (
     write_inria_cameras,
 )
 from messages import refuses, warns
-from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning, UnknownNameError
 from scoup.io import load_cameras, read_points, read_tracks, write_colmap, write_transforms
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args
 from scoup.io.cameras.nerfstudio import read_transforms
+from scoup.io.reading import read_text
 from scoup.scene import Cameras
 
 ALONE = pytest.mark.filterwarnings("ignore:.*using the cameras alone")
@@ -295,3 +296,51 @@ def test_cameras_follow_the_splat_into_its_frame(tmp_path: Path) -> None:
     assert camera_difference(load_cameras(file), cameras) < 1e-12
     write_colmap(cameras, tmp_path / "model" / "sparse" / "0")
     check(tmp_path / "model", turn @ applied, scale)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "cp1252"])
+def test_encodings_of_text(tmp_path: Path, encoding: str, recwarn: pytest.WarningsRecorder) -> None:
+    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    (tmp_path / "words.txt").write_bytes(mark + "Küche\r\n".encode(encoding))
+    assert read_text(tmp_path / "words.txt").split() == ["Küche"]
+    assert len(recwarn) == (encoding == "cp1252")
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
+    (write_colmap if binary else write_colmap_text)(some_cameras(1), tmp_path / "sparse/0")
+    path = tmp_path / "sparse/0" / ("images.bin" if binary else "images.txt")
+    path.write_bytes(path.read_bytes().replace(b"view_00.png", b"K\xfcche.png"))
+    with warns(ScoupWarning):
+        assert load_cameras(tmp_path, missing_images="keep").names == ("Küche.png",)
+
+
+def test_one_line_per_image(tmp_path: Path) -> None:
+    cameras = some_cameras(4)
+    write_colmap_text(cameras, tmp_path)
+    path = tmp_path / "images.txt"
+    lines = [line for line in path.read_text().splitlines() if line]
+    path.write_text("\n".join([*lines[:-1], "1.5 2.5 7 3 4 -1", lines[-1], ""]))
+    (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0 3 0\n")
+    assert camera_difference(load_cameras(tmp_path, missing_images="keep"), cameras) < 1e-12
+    assert read_tracks(tmp_path)[1] == [["view_02.png"]]
+
+
+@pytest.mark.parametrize(("end", "gone", "has"), [(".bin", "images", "cameras"), (".txt", "images", "cameras"),
+                                                  (".bin", "cameras", "images")])  # fmt: skip
+def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> None:
+    (write_colmap_text if end == ".txt" else write_colmap)(some_cameras(2), tmp_path / "sparse/0")
+    (tmp_path / "sparse/0" / f"{gone}{end}").unlink()
+    for folder in (tmp_path, tmp_path / "sparse/0"):
+        with refuses(MissingFileError):
+            load_cameras(folder)
+
+
+def test_cameras_are_found_by_names_of_any_form() -> None:
+    names = ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png")
+    cameras = Cameras(replace(each, name=name) for each, name in zip(some_cameras(3), names, strict=True))
+    assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
+    for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
+        assert cameras[name] is cameras[2]
+    with refuses(UnknownNameError):
+        cameras["0"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,14 +13,13 @@ import torch
 from hypothesis import given as given_any
 from hypothesis import settings
 from hypothesis import strategies as st
-
 from splat_damages import ENDINGS
 
 from foreign_samples import save_run
 from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base import FileFormatError, OutputExistsError, ScoupWarning
+from scoup.base import OutputExistsError, ScoupWarning
 from scoup.field.content import TENSORS
 from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
@@ -155,7 +153,10 @@ def test_what_is_written_is_read_within_the_stated_error(
     found = written_and_read(given, path, version)
     check_rounding(given, found, rounding)
     # What was rounded once is not rounded again.
-    again, share = written_and_read(found, path, version if version > 2 else 0), 1e-4 if version == 1 else 1e-6
+    again, share = (
+        written_and_read(found, path, version if version > 2 else 0),
+        1e-4 if version == 1 else 1e-6,
+    )
     assert float((again.means - found.means).abs().max()) <= share * largest + 1e-5
     assert again.opacities.equal(found.opacities)
     torch.testing.assert_close(again.sh, found.sh, rtol=1e-5, atol=1e-5)
@@ -217,8 +218,6 @@ def test_axes_can_be_kept(tmp_path: Path, ending: str) -> None:
     axis = written_format(path).axis
     signs = torch.tensor([1.0 if axis in (None, name) else -1.0 for name in "xyz"])
     assert turned.means.equal(kept.means * signs)
-
-
 
 
 def test_names_decide() -> None:

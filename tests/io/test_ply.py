@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from splat_damages import record
 
-from io_samples import ply_file, raw_columns, same_gaussians, save_compressed_ply, save_spz, some_gaussians
+from io_samples import (
+    ply_file,
+    raw_columns,
+    same_gaussians,
+    save_compressed_ply,
+    save_spz,
+    some_gaussians,
+)
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning, WriteError
 from scoup.io import load_gaussians, save_gaussians
@@ -26,14 +34,12 @@ from scoup.io.splats.activation import (
     opacities_from_logits,
     scales_from_logs,
 )
-from scoup.io.splats.ply import PlyTable, as_stored, read_ply, write_ply
+from scoup.io.splats.ply import PlyTable, read_ply, write_ply
 from scoup.io.splats.splat import read_splat
 from scoup.scene import SH_C0
 from support import random_gaussians
 
 RAW = st.floats(width=32, allow_nan=False)
-
-
 
 
 @given(arrays.arrays(np.float32, 16, elements=RAW))
@@ -114,7 +120,9 @@ def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
     (b"element", b"element chunk 2\nproperty double a\nelement", bytes(16), b""),
     (b"end_header", b"element face 1\nproperty list uchar int i\nend_header", b"", b"\0"),
 ])  # fmt: skip
-def test_headers_of_other_programs(tmp_path: Path, old: bytes, new: bytes, before: bytes, after: bytes) -> None:
+def test_headers_of_other_programs(
+    tmp_path: Path, old: bytes, new: bytes, before: bytes, after: bytes
+) -> None:
     path = ply_file(tmp_path / "a.ply", raw_columns())
     plain = read_ply(path)
     header, body = path.read_bytes().split(b"end_header\n", 1)
@@ -133,8 +141,6 @@ def test_comments_are_read_and_written(tmp_path, encoding, end):
         table = PlyTable.read(path)
         assert table.comments == (comment,)
         table.write(path, overwrite=True)
-
-
 
 
 def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path):
@@ -197,8 +203,6 @@ def test_empty_tables_and_flat_gaussians(tmp_path):
     assert float(read_ply(tmp_path / "b.compressed.ply").scales.max()) < 1e-8
 
 
-
-
 def test_table_from_memory_has_the_inria_layout():
     names = PlyTable.of(some_gaussians(2, degree=3)).names
     assert len(names) == 62
@@ -247,8 +251,6 @@ def test_rows_of_compressed_ply(tmp_path: Path) -> None:
         PlyTable.read(path).gaussians()
 
 
-
-
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ply, "MOST_ROWS_IN_MEMORY", 10)
@@ -273,8 +275,6 @@ def test_large_files_are_read_as_in_memory(
     assert found[0].fingerprint() == found[1].fingerprint()
 
 
-
-
 def test_no_room_for_temporary_files(
     tmp_path: Path, small_parts: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -285,4 +285,61 @@ def test_no_room_for_temporary_files(
 
     monkeypatch.setattr("os.posix_fallocate", full)
     with pytest.raises(WriteError, match="TMPDIR"):
+        load_gaussians(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("nan", [b"nan", b"-nan(ind)", b"1.#QNAN", b"-1.#IND00", b"1.#INF"])
+def test_numbers_of_ascii_ply_files(tmp_path: Path, nan: bytes) -> None:
+    path = ply_file(tmp_path / "a.ply", dict.fromkeys(raw_columns(2), np.full(2, 0.5, np.float32)), "ascii")
+    row = b" ".join([b"0.5"] * 14)
+    content = path.read_bytes().replace(row + b"\n" + row + b"\n", b"\xef\xbb\xbf" + row + b"\n")
+    (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", nan, 1))
+    with warns(ScoupWarning):
+        assert len(load_gaussians(tmp_path / "a.ply")) == 1
+    (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", b"0,5"))
+    with refuses(FileFormatError):
+        load_gaussians(tmp_path / "a.ply")
+
+
+def changed_columns(path: Path, gone: str, **added: np.ndarray) -> None:
+    """Rewrite a PLY without some properties, and with others."""
+    table = PlyTable.read(path)
+    kept = [name for name in table.names if not re.fullmatch(gone, name)]
+    table = replace(table, rows=table.rows[kept].astype([(name, table.rows.dtype[name]) for name in kept]))
+    for name, column in added.items():
+        table = table.with_column(name, column)
+    table.write(path, overwrite=True)
+
+
+@pytest.mark.parametrize(("gone", "added", "change"), [
+    ("scale_2", {}, {"scales": lambda given: torch.cat([given.scales[:, :2], torch.full((5, 1), 1e-6)], 1)}),
+    ("scale_[12]", {}, {"scales": lambda given: given.scales[:, :1].expand(-1, 3)}),
+    ("f_dc_.", {"red": 255, "green": 0, "blue": 51}, {}),
+    ("f_dc_.", {"red": 1.0, "green": 0.0, "blue": 0.2}, {}),
+    ("f_dc_.", {"red": 65535, "green": 0, "blue": 13107}, {}),
+])  # fmt: skip
+def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, change: Any) -> None:
+    given = some_gaussians(5, 1)
+    save_gaussians(given, tmp_path / "a.ply")
+    kinds = {float: np.float32, int: np.uint16 if 65535 in added.values() else np.uint8}
+    columns = {name: np.full(5, value, kinds[type(value)]) for name, value in added.items()}
+    changed_columns(tmp_path / "a.ply", gone, **columns)
+    found = load_gaussians(tmp_path / "a.ply")
+    expected = given.tensors() | {name: function(given) for name, function in change.items()}
+    if added:
+        expected["sh"] = given.sh.clone()
+        expected["sh"][:, 0] = (torch.tensor([1.0, 0.0, 0.2]) - 0.5) / SH_C0
+    for name, tensor in found.tensors().items():
+        torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["trbf_center", "trbf_scale_0", "motion_3", "t", "scale_3", "nu_degree", "beta"]
+)
+def test_gaussians_that_are_not_plain(tmp_path: Path, name: str) -> None:
+    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
+    changed_columns(tmp_path / "a.ply", "", semantic_0=np.zeros(5), label=np.zeros(5, np.int32))
+    assert len(load_gaussians(tmp_path / "a.ply")) == 5
+    changed_columns(tmp_path / "a.ply", "", **{name: np.zeros(5, np.float32)})
+    with warns(ScoupWarning):
         load_gaussians(tmp_path / "a.ply")

@@ -14,11 +14,10 @@ import torch
 from splat_damages import AXES
 from splat_damages import spz as packed
 
-from io_samples import angles, same_gaussians, save_spz, some_gaussians, tame
+from io_samples import same_gaussians, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import FileFormatError, ScoupWarning
 from scoup.io import load_gaussians
-from scoup.io.splats.ply import write_ply
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
 from scoup.scene import Gaussians, rotation_matrices, sh_basis
@@ -56,8 +55,6 @@ def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
     # Y_1-1 ~ y, Y_10 ~ z, Y_11 ~ x.
     assert [body[20 + 3 * n] for n in range(3)] == [128 - 32, 128 - 64, 128 - 32]
     assert len(body) == 29
-
-
 
 
 def test_colours_turn_with_the_axes() -> None:
