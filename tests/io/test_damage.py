@@ -90,7 +90,7 @@ MODEL = {
     "images claimed": ("images.bin", lambda whole: struct.pack("<Q", 10**12) + whole[8:]),
     "no lenses": ("cameras.bin", lambda _: struct.pack("<Q", 0)),
 }  # fmt: skip
-POINTS = {"claimed": ("points3D.bin", lambda whole: whole[:-8] + struct.pack("<Q", 2**61))}
+POINTS = {"claimed": ("points3D.bin", lambda whole: whole[:-8] + struct.pack("<Q", 2**60))}
 LINES = {
     "radial 1": "1 SIMPLE_RADIAL 40 30 50 20 15 0.1", "radial": "1 RADIAL 40 30 50 20 15 0.1 -0.02",
     "OpenCV": "1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002",
@@ -242,6 +242,7 @@ KINDS = {
     "cfg_args": Kind(partial(written, "cfg_args"), read_cfg_args, CFG_ARGS),
     "COLMAP": Kind(damaged_model, read_colmap, MODEL),
     "points of COLMAP": Kind(damaged_model, read_points, POINTS),
+    "tracks of COLMAP": Kind(damaged_model, read_tracks, POINTS),
     "text of COLMAP": Kind(text_model, read_colmap, LINES),
     "other text of COLMAP": Kind(text_model, partial(read_colmap, distorted="undistort"), UNKNOWN),
     "lens of COLMAP": Kind(lens_of_colmap_4, load_cameras, LENSES),
