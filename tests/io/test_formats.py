@@ -15,13 +15,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from splat_damages import ENDINGS
 
-from foreign_samples import save_run
 from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import OutputExistsError, ScoupWarning
 from scoup.field.content import TENSORS
-from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
+from scoup.io import load_gaussians, save_gaussians, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
 from scoup.io.splats.formats import FORMATS, format_of
 from scoup.io.splats.spz import MOST_BITS
@@ -230,14 +229,6 @@ def test_names_decide() -> None:
     assert format_of("ply") is None
     with refuses():
         written_format("a.pt", "a field")
-
-
-def test_a_training_decides_the_preset_of_what_it_exported(tmp_path: Path) -> None:
-    save_run(tmp_path, "data")
-    save_gaussians(some_gaussians(), tmp_path / "splat.ply")
-    source = splat_source(tmp_path)
-    assert (source.path.name, source.kind.name, source.preset) == ("splat.ply", "Inria PLY", "gsplat")
-    assert splat_source(tmp_path / "splat.ply").preset == "inria"
 
 
 def test_documents_list_all() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import zstandard
 from splat_damages import AXES
 from splat_damages import spz as packed
 
@@ -57,35 +58,21 @@ def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
     assert len(body) == 29
 
 
-def test_colours_turn_with_the_axes() -> None:
-    """A Gaussian shows the same colour from the same side: the signs of the harmonics are those of y and z turned
-    round."""
-    directions = unit(torch.randn(9, 3, generator=torch.Generator().manual_seed(1)))
-    flipped = directions * torch.tensor([1.0, -1.0, -1.0])
-    signs = torch.tensor([1.0 if sign == "+" else -1.0 for sign in "--+-++-+-+--+-+-+-++-+--"])
-    found, expected = sh_basis(flipped, 4), sh_basis(directions, 4) * signs
-    # But for the last one, which the format's own tools turn, although it is even in both.
-    assert torch.allclose(found[:, :23], expected[:, :23], atol=1e-5)
-
-
 def test_ugly_values_are_mended(tmp_path: Path) -> None:
-    ugly = some_gaussians(4, 0)
-    scales = torch.tensor([[0.0, 1e-30, 1.0], [1e30, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    ugly, scales = some_gaussians(4, 0), torch.ones(4, 3)
+    scales[:2, 0] = torch.tensor([0.0, 1e30])
     opacities = torch.tensor([0.0, 1.0, torch.inf, -0.5])
     with warns(ScoupWarning):
         write_spz(replace(ugly, scales=scales, opacities=opacities), tmp_path / "a.spz")
     found = read_spz(tmp_path / "a.spz")
     assert found.opacities.tolist() == [0.0, 1.0, 1.0, 0.0]
-    assert found.scales[0, 0] == pytest.approx(np.exp(-10), rel=1e-4)
-    assert found.scales[1, 0] == pytest.approx(np.exp(255 / 16 - 10), rel=1e-4)
+    assert found.scales[:2, 0].log().tolist() == pytest.approx([-10, 255 / 16 - 10], abs=1e-4)
     with refuses():  # beyond the 24 bits of the format
         write_spz(replace(ugly, means=torch.full((4, 3), 1e9)), tmp_path / "b.spz")
     assert not (tmp_path / "b.spz").exists()
 
 
 def test_degree_4_is_for_version_4(tmp_path: Path) -> None:
-    import zstandard
-
     given = tame(5, 4, 3)
     write_spz(given, tmp_path / "a.spz", True, 4)
     found = read_spz(tmp_path / "a.spz")
@@ -162,8 +149,6 @@ def test_gzip_of_any_library(tmp_path: Path, content: bytes, said: str) -> None:
 
 
 def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
-    import zstandard
-
     with refuses(FileFormatError):
         _unpacked(tmp_path / "a.spz", zstandard.ZstdCompressor().compress(b"abc"), 4)
 

@@ -77,18 +77,16 @@ def test_what_trainers_write_is_read(tmp_path: Path, name: str, degree: int) -> 
 
 
 def test_all_ranks_of_the_latest_step_in_order(tmp_path):
+    folder = tmp_path / "ckpts"
     for step, rank in ((7, 0), (7, 1), (30, 1), (30, 0), (30, 10)):
-        save_checkpoint(
-            some_gaussians(3, seed=step + rank), tmp_path / "ckpts" / f"ckpt_{step}_rank{rank}.pt"
-        )
+        save_checkpoint(some_gaussians(3, seed=step + rank), folder / f"ckpt_{step}_rank{rank}.pt")
     with refuses(MissingFileError):
         read_gsplat_checkpoint(tmp_path)
-    (tmp_path / "ckpts" / "ckpt_30_rank10.pt").unlink()
+    (folder / "ckpt_30_rank10.pt").unlink()
     assert [path.name for path in latest_ranks(tmp_path)] == ["ckpt_30_rank0.pt", "ckpt_30_rank1.pt"]
-    again = read_gsplat_checkpoint(tmp_path / "ckpts")
-    expected = [some_gaussians(3, seed=30).means, some_gaussians(3, seed=31).means]
-    assert torch.equal(again.means, torch.cat(expected))
-    (tmp_path / "ckpts" / "ckpt_30_rank1.pt").unlink()
+    expected = torch.cat([some_gaussians(3, seed=seed).means for seed in (30, 31)])
+    assert torch.equal(read_gsplat_checkpoint(folder).means, expected)
+    (folder / "ckpt_30_rank1.pt").unlink()
     with refuses(MissingFileError):  # which step 7 has
         read_gsplat_checkpoint(tmp_path)
 
@@ -106,18 +104,17 @@ def test_the_autoencoder_decodes_as_langsplats_does(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = LangSplatAutoencoder([24, 8, 3], [8, 24, 32], dim=32).eval()
     torch.save(network.state_dict(), tmp_path / "best_ckpt.pth")
-    rows = torch.nn.functional.normalize(torch.randn(9, 32), dim=1)
     with torch.no_grad():
-        codes = network.encode(rows)
+        codes = network.encode(torch.nn.functional.normalize(torch.randn(9, 32), dim=1))
         expected = network.decode(codes)
-    codes[4] = 0
-    found = read_autoencoder(tmp_path / "best_ckpt.pth")(codes.numpy())
+    codes[4] = expected[4] = 0
+    decode = read_autoencoder(tmp_path / "best_ckpt.pth")
+    found = decode(codes.numpy())
     assert found.dtype == np.float32
     assert not found[4].any()
-    known = [0, 1, 2, 3, 5, 6, 7, 8]
-    np.testing.assert_allclose(found[known], expected.numpy()[known], atol=1e-6)
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-6)
     with refuses():
-        read_autoencoder(tmp_path / "best_ckpt.pth")(np.zeros((2, 5)))
+        decode(np.zeros((2, 5)))
 
 
 def test_archives_that_libraries_refuse(tmp_path: Path) -> None:
@@ -145,20 +142,21 @@ def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
     return replace(gaussians, means=(gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float())
 
 
-def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    save_run(run, "data")
+@pytest.mark.parametrize("place", ["splat.ply", "exports/splat/splat.ply"])
+def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path, place: str) -> None:
+    save_run(tmp_path, "data")
     with refuses(MissingFileError):
-        load_gaussians(run)
-    (run / "exports" / "splat").mkdir(parents=True)
-    save_gaussians(some_gaussians(5), run / "exports" / "splat" / "splat.ply")
-    assert len(load_gaussians(run)) == 5
-    assert splat_source(run).preset == "gsplat"
-    (run / "nerfstudio_models").mkdir()
+        load_gaussians(tmp_path)
+    save_gaussians(some_gaussians(5), tmp_path / place)
+    assert len(load_gaussians(tmp_path)) == 5
+    source = splat_source(tmp_path)
+    assert (source.path, source.kind.name, source.preset) == (tmp_path / place, "Inria PLY", "gsplat")
+    assert splat_source(tmp_path / place).preset == "inria"
+    (tmp_path / "nerfstudio_models").mkdir()
     other = {"pipeline": {"_model.field.mlp": torch.zeros(3)}}
-    torch.save(other, run / "nerfstudio_models/step-000000001.ckpt")
+    torch.save(other, tmp_path / "nerfstudio_models/step-000000001.ckpt")
     with refuses(FileFormatError):
-        load_gaussians(run)
+        load_gaussians(tmp_path)
 
 
 @pytest.mark.parametrize("parser", ["nerfstudio_dataparser.NerfstudioDataParserConfig", COLMAP])
@@ -322,12 +320,11 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
 def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(20, 3))
     write_colmap(some_cameras(3), tmp_path / "sparse/0", (points, np.zeros((20, 3), np.uint8)))
-    save_results(tmp_path, tmp_path)
     (tmp_path / "ckpts").mkdir()
-    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
-    (tmp_path / "cfg.yml").unlink()
-    save_run(tmp_path, str(tmp_path), COLMAP)
-    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+    for save, *data in ((save_results, tmp_path), (save_run, str(tmp_path), COLMAP)):
+        save(tmp_path, *data)
+        assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+        (tmp_path / "cfg.yml").unlink(missing_ok=True)
 
 
 def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

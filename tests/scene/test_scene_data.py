@@ -32,9 +32,8 @@ from scoup.scene.regions import RegionMap, Regions, resize_labels
 from scoup.scene.sanity_checks import sanity_problems
 from support import examples, make_camera, random_gaussians, small_scene, unit
 
-MAP = RegionMap(
-    torch.tensor([[0, 2], [-1, 1]]), torch.randn(3, 5, generator=torch.Generator().manual_seed(0))
-)
+SOME_ROWS = torch.randn(3, 5, generator=torch.Generator().manual_seed(0))
+MAP = RegionMap(torch.tensor([[0, 2], [-1, 1]]), SOME_ROWS)
 
 
 WRONG: list[tuple[Gaussians | Camera | RegionMap, str, list[Any]]] = [
@@ -119,10 +118,9 @@ def test_look_at_puts_the_target_in_the_middle():
     eye, target = torch.tensor([1.0, -2.0, 1.5]), torch.tensor([0.1, 0.2, 0.8])
     camera = Camera.look_at(eye.tolist(), target.tolist(), "a.png", 40, 30, 35.0)
     assert camera.position.tolist() == pytest.approx(eye.tolist())
-    way = target - eye
-    pixels, depths = camera.pixels(
-        points := torch.stack([target, eye - way, eye + 0.1 * way + torch.tensor([0, 0, 1.0])])
-    )
+    way, up = target - eye, torch.tensor([0, 0, 1.0])
+    points = torch.stack([target, eye - way, eye + 0.1 * way + up])
+    pixels, depths = camera.pixels(points)
     assert pixels[0].tolist() == pytest.approx((20, 15), abs=1e-4)
     assert depths[:2].tolist() == pytest.approx([float(way.norm()), -float(way.norm())])
     assert camera.shows(points).tolist() == [True, False, False]  # behind it, and beside its image
