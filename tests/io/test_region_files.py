@@ -84,27 +84,16 @@ def test_embeddings_are_scaled_to_unit_norm_and_zero_rows_stay(tmp_path):
         torch.testing.assert_close(found, torch.tensor(norms))
 
 
-@pytest.mark.parametrize("dtype", ["<f4", "<f2", "<f8", ">f4", "<i4", "i1", "<i8"])
-def test_column_major_files_of_every_type(tmp_path, dtype):
-    planes = planes_of([-1], [0, 2, -1, 1, 1], [3, 4, -1, 5], [7, 6, 8])
-    save_npy(tmp_path, "view_00", np.asfortranarray(planes.astype(dtype)), unit_rows(9).astype(np.float16))
-    labels = load_regions(tmp_path, some_cameras(1)).load("view_00.png", "s").labels
-    assert np.array_equal(labels, planes[1])
-
-
-def test_embeddings_that_are_objects(tmp_path):
-    save_npy(tmp_path, "view_00", planes_of([0], [1], [2], [3]), np.array([{"a": 1}] * 4))
-    with pytest.raises(FileFormatError, match="plain numbers"):
-        load_regions(tmp_path, some_cameras(1))
-
-
-@pytest.mark.parametrize("dtype", ["<f4", "<f2", ">i2", "<i8", "i1"])
+@pytest.mark.parametrize("dtype", ["<f4", "<f2", "<f8", ">f4", ">i2", "<i4", "i1", "<i8"])
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05)])
-def test_labels_of_all_levels_are_those_of_each(tmp_path, dtype, distortion):
+def test_labels_of_every_type_at_every_size(tmp_path, dtype, distortion):
     planes = planes_of([-1, 0], [1, -1, 2, 3], [-1], [5, 7, -1])
-    save_npy(tmp_path, "view_00", planes.astype(dtype), unit_rows(9))
+    order = "C" if dtype in ("<f4", "i1") else "F"
+    save_npy(tmp_path, "view_00", np.asarray(planes, dtype, order), unit_rows(9).astype(np.float16))
     camera = replace(some_cameras(1)[0], distortion=distortion)
     regions = load_regions(tmp_path, [camera])
+    if not distortion:
+        assert np.array_equal(regions.load("view_00.png", "s").labels, np.maximum(planes[1] - 1, -1))
     for width, height in ((camera.width, camera.height), (13, 7)):
         labels = regions.load_labels("view_00.png", width, height)
         maps = [regions.load("view_00.png", level).resized(width, height) for level in LEVELS]
@@ -114,6 +103,12 @@ def test_labels_of_all_levels_are_those_of_each(tmp_path, dtype, distortion):
         assert torch.equal(again, labels)
         for item, rows in zip(maps, embeddings, strict=True):
             assert torch.equal(item.embeddings, rows)
+
+
+def test_embeddings_that_are_objects(tmp_path):
+    save_npy(tmp_path, "view_00", planes_of([0], [1], [2], [3]), np.array([{"a": 1}] * 4))
+    with pytest.raises(FileFormatError, match="plain numbers"):
+        load_regions(tmp_path, some_cameras(1))
 
 
 def test_labels_alone_do_not_read_embeddings(tmp_path):
@@ -168,24 +163,20 @@ def test_stems_are_cut_at_the_first_dot(tmp_path):
 
 
 def test_missing_features(tmp_path):
-    cameras = some_cameras(4)
+    cameras, planes = some_cameras(4), planes_of([-1], [0], [1], [2])
     with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
-    save_npy(tmp_path, "frame_00001", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    save_npy(tmp_path, "frame_00001", planes, unit_rows(3))
     with refuses(MissingFileError):
         load_regions(tmp_path, cameras)
-    save_npy(tmp_path, "view_02", planes_of([-1], [0], [1], [2]), unit_rows(3))
+    save_npy(tmp_path, "view_02", planes, unit_rows(3))
     with warns(ScoupWarning):
         assert load_regions(tmp_path, cameras).view_names == ("view_02.png",)
     with refuses():
         load_regions(tmp_path, [])
-
-
-def test_features_of_two_models(tmp_path):
-    save_npy(tmp_path, "view_00", planes_of([-1], [0], [1], [2]), unit_rows(3, 4))
-    save_npy(tmp_path, "view_01", planes_of([-1], [0], [1], [2]), unit_rows(3, 5))
+    save_npy(tmp_path, "view_01", planes, unit_rows(3, 5))  # of another model
     with refuses(FileFormatError):
-        load_regions(tmp_path, some_cameras(2))
+        load_regions(tmp_path, cameras[1:3])
 
 
 CAMERA = some_cameras(1)
