@@ -288,6 +288,12 @@ def text_model(folder: Path, lens: str, images: str = "1 1 0 0 0 0.5 0.25 2 1 a 
     return folder
 
 
+DISTORTED = {  # lenses of COLMAP
+    "radial 1": "1 SIMPLE_RADIAL 40 30 50 20 15 0.1", "radial": "1 RADIAL 40 30 50 20 15 0.1 -0.02",
+    "OpenCV": "1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002",
+}  # fmt: skip
+
+
 def transforms(folder: Path, frame: dict[str, Any] | None = None, **settings: Any) -> Path:
     """A transforms.json of one frame at (1, 2, 3), looking along its -z."""
     pose = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]

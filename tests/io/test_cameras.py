@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from test_damage import LINES
 
 from io_samples import (
     APPLIED,
+    DISTORTED,
     camera_difference,
     save_images,
     some_cameras,
@@ -29,7 +29,7 @@ from io_samples import (
     write_inria_cameras,
 )
 from messages import refuses, warns
-from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning, UnknownNameError
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import load_cameras, read_points, read_tracks, write_colmap, write_transforms
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args
@@ -85,7 +85,7 @@ def test_text_with_empty_keypoint_lines_and_spaces_in_names(tmp_path: Path) -> N
     assert torch.equal(cameras[1].viewmat, torch.eye(4, dtype=torch.float64))  # of a quaternion of any norm
 
 
-@pytest.mark.parametrize("line", LINES.values(), ids=LINES)
+@pytest.mark.parametrize("line", DISTORTED.values(), ids=DISTORTED)
 def test_distortion_is_kept_where_it_may_be(tmp_path: Path, line: str) -> None:
     camera = read_colmap(text_model(tmp_path, line), distorted="undistort")[0]
     coefficients = line.partition(" 20 15 ")[2]
@@ -329,13 +329,3 @@ def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> N
     for folder in (tmp_path, tmp_path / "sparse/0"):
         with refuses(MissingFileError):
             load_cameras(folder)
-
-
-def test_cameras_are_found_by_names_of_any_form() -> None:
-    names = ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png")
-    cameras = Cameras(replace(each, name=name) for each, name in zip(some_cameras(3), names, strict=True))
-    assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
-    for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
-        assert cameras[name] is cameras[2]
-    with refuses(UnknownNameError):
-        cameras["0"]

@@ -19,6 +19,7 @@ from tests.fuzzing.containers import SEALED
 
 from io_samples import (
     APPLIED,
+    DISTORTED,
     POINT_HEADER,
     TURNED,
     planes_of,
@@ -91,10 +92,6 @@ MODEL = {
     "no lenses": ("cameras.bin", lambda _: struct.pack("<Q", 0)),
 }  # fmt: skip
 POINTS = {"claimed": ("points3D.bin", lambda whole: whole[:-8] + struct.pack("<Q", 2**60))}
-LINES = {
-    "radial 1": "1 SIMPLE_RADIAL 40 30 50 20 15 0.1", "radial": "1 RADIAL 40 30 50 20 15 0.1 -0.02",
-    "OpenCV": "1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002",
-}  # fmt: skip
 UNKNOWN = {
     "fisheye": "1 OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0", "FOV": "1 FOV 40 30 50 50 20 15 1", "own": "1 MYOWN 4 3 1",
 }  # fmt: skip
@@ -243,7 +240,7 @@ KINDS = {
     "COLMAP": Kind(damaged_model, read_colmap, MODEL),
     "points of COLMAP": Kind(damaged_model, read_points, POINTS),
     "tracks of COLMAP": Kind(damaged_model, read_tracks, POINTS),
-    "text of COLMAP": Kind(text_model, read_colmap, LINES),
+    "text of COLMAP": Kind(text_model, read_colmap, DISTORTED),
     "other text of COLMAP": Kind(text_model, partial(read_colmap, distorted="undistort"), UNKNOWN),
     "lens of COLMAP": Kind(lens_of_colmap_4, load_cameras, LENSES),
     "named lens of COLMAP": Kind(

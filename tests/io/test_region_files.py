@@ -285,10 +285,11 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
     cameras = some_cameras(2)
     save_langsplat(some_regions(cameras), tmp_path / "a")
     (tmp_path / "empty").mkdir()
-    for source, target, options, kind in (
+    cases: list[tuple[str, str, dict[str, Any], type[Exception]]] = [
         ("a", "a", {}, InputError), ("a", "b", {"bits": 8}, InputError),
         ("nowhere", "b", {}, MissingFileError), ("empty", "b", {}, MissingFileError),
-    ):  # fmt: skip
+    ]  # fmt: skip
+    for source, target, options, kind in cases:
         with refuses(kind):
             convert_regions(tmp_path / source, tmp_path / target, **options)
     assert not (tmp_path / "b").exists()

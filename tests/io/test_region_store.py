@@ -161,7 +161,7 @@ def test_equal_names_in_several_folders(tmp_path: Path) -> None:
 
 def test_saving_needs_three_levels_of_one_size(tmp_path):
     item = RegionMap(torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1))
-    same = dict.fromkeys(LEVELS, item)
+    same: dict[str, RegionMap] = dict.fromkeys(LEVELS, item)
     smaller = replace(item, labels=item.labels[:3])
     for maps in ({"a": {"s": item}}, {"a": {**same, "l": smaller}}, {"a.jpg": same, "a.png": same}):
         with refuses():

@@ -321,8 +321,8 @@ def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(20, 3))
     write_colmap(some_cameras(3), tmp_path / "sparse/0", (points, np.zeros((20, 3), np.uint8)))
     (tmp_path / "ckpts").mkdir()
-    for save, *data in ((save_results, tmp_path), (save_run, str(tmp_path), COLMAP)):
-        save(tmp_path, *data)
+    for save in (lambda: save_results(tmp_path, tmp_path), lambda: save_run(tmp_path, str(tmp_path), COLMAP)):
+        save()
         assert len(load_cameras(tmp_path, missing_images="keep")) == 3
         (tmp_path / "cfg.yml").unlink(missing_ok=True)
 

@@ -80,13 +80,19 @@ def test_sizes_are_whole_numbers_of_any_type(width):
 
 
 def test_cameras_are_found_by_position_name_and_stem():
-    cameras = Cameras([make_camera(name="a/frame_1.jpg"), make_camera(name="a/frame_2.jpg")])
-    assert cameras[0] is cameras["a/frame_1.jpg"] is cameras["frame_1"]
-    assert cameras[1:].names == ("a/frame_2.jpg",)
+    names = ["a/frame_1.jpg", "a/frame_2.jpg", "cam1/0.png", "cam2/0.png", "K\u00fcche.a.png"]
+    cameras = Cameras(make_camera(name=name) for name in names)
+    for number, name in enumerate(names):
+        assert cameras[number] is cameras[name] is cameras[name.rpartition(".")[0]]
+    assert cameras[0] is cameras["frame_1"]
+    for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
+        assert cameras[name] is cameras[4]
+    assert cameras[1:3].names == ("a/frame_2.jpg", "cam1/0.png")
     assert cameras.select(["frame_2"]).names == ("a/frame_2.jpg",)
-    assert cameras.select(lambda camera: "1" in camera.name).names == ("a/frame_1.jpg",)
-    with refuses(UnknownNameError):
-        cameras["frame_3"]
+    assert cameras.select(lambda camera: "frame_1" in camera.name).names == ("a/frame_1.jpg",)
+    for unknown in ("frame_3", "0"):
+        with refuses(UnknownNameError):
+            cameras[unknown]
     with refuses():
         Cameras([make_camera(), make_camera()])
 
