@@ -14,7 +14,7 @@ from scoup.field.field_info import FieldInfo
 from scoup.query import LanguageField, build
 from scoup.scene import index_dtype
 from scoup.uplift import BuildSettings, FieldSources
-from support import altered, random_gaussians, small_scene, unit
+from support import random_gaussians, small_scene, unit
 from uplift.edits import joined
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)
@@ -58,38 +58,43 @@ def test_relevancy_equals_decoding_to_d_dimensions(scene, tmp_path, n_atoms):
             assert torch.allclose(found, torch.sigmoid(10 * (features @ queries.T - best)), atol=1e-4)
 
 
-def test_eight_bit_weights_are_close(field, tmp_path):
-    field.save(tmp_path / "f.scoup", weight_bits=8)
-    back = LanguageField.load(tmp_path / "f.scoup")
-    assert (back.code_weights.float() - field.code_weights.float()).abs().max() <= 1.5 / 255
+def test_eight_bits_are_close_and_take_no_code_away(field, tmp_path):
+    even = torch.full((len(field), len(field.levels), 4), 1 / 600)
+    indices = torch.zeros(even.shape, dtype=torch.uint16)
+    many = LanguageField(indices, even, field.codebook.repeat(1, 75, 1), field.info)
+    for name, each in (("f", field), ("many", many)):
+        each.save(tmp_path / f"{name}.scoup", weight_bits=8)
+        back = LanguageField.load(tmp_path / f"{name}.scoup")
+        assert (back.code_weights.float() - each.code_weights.float()).abs().max() <= 1.5 / 255
+        assert back.coded_levels().equal(each.coded_levels())
     with refuses():
         field.save(tmp_path / "g.scoup", weight_bits=4)
 
 
-def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
-    gaussians, cameras, regions = scene
-    (tmp_path / "scene").mkdir()
+@pytest.fixture
+def beside(field, tmp_path) -> LanguageField:
+    """A field whose splat is in a file of its own."""
     splat = tmp_path / "scene" / "splat.ply"
-    scoup.save_gaussians(gaussians, splat)
-    stored, sources = scoup.load_gaussians(splat), FieldSources(geometry_path=splat)
-    build(stored, cameras, regions, settings=QUICK, sources=sources).save(tmp_path / "scene" / "f.scoup")
-    (tmp_path / "scene").rename(tmp_path / "moved")
-    path = tmp_path / "moved" / "f.scoup"
-    assert len(LanguageField.load(path).gaussians) == len(gaussians)
+    scoup.save_gaussians(field.gaussians, splat)
+    made = field.with_gaussians(scoup.load_gaussians(splat))
+    made.geometry_path = splat
+    return made
+
+
+def test_geometry_is_found_by_relative_path_and_checked(beside, tmp_path):
+    beside.save(tmp_path / "scene" / "f.scoup")
+    path = (tmp_path / "scene").rename(tmp_path / "moved") / "f.scoup"
+    assert len(LanguageField.load(path).gaussians) == len(beside)
     with refuses(GeometryMismatchError):
-        LanguageField.load(path, random_gaussians(len(gaussians), 77))
-    (tmp_path / "moved" / "splat.ply").unlink()
+        LanguageField.load(path, random_gaussians(len(beside), 77))
+    path.with_name("splat.ply").unlink()
     with refuses(FileFormatError):
         _ = LanguageField.load(path).gaussians
-    assert LanguageField.load(path, stored).gaussians is stored
+    assert LanguageField.load(path, beside.gaussians).gaussians is beside.gaussians
 
 
-def test_links_to_a_field_lead_to_what_it_names(scene, tmp_path):
-    gaussians, cameras, regions = scene
-    splat = tmp_path / "scene" / "splat.ply"
-    scoup.save_gaussians(gaussians, splat)
-    sources = FieldSources(geometry_path=splat)
-    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, sources=sources)
+def test_links_to_a_field_lead_to_what_it_names(beside, tmp_path):
+    field, splat = beside, beside.geometry_path
     (tmp_path / "store" / "deep").mkdir(parents=True)
     (tmp_path / "linked").symlink_to(tmp_path / "store" / "deep")
     for folder in ("store/deep", "linked"):
@@ -117,17 +122,8 @@ def test_nothing_is_overwritten_unless_wanted(field, tmp_path):
     assert len(LanguageField.load(path)) == len(field)
 
 
-def test_eight_bits_take_no_code_away(scene, tmp_path):
-    wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2, rounds=1, solver="adam")
-    field = build(*scene, settings=wide)
-    assert field.code_indices.dtype == torch.uint16
-    even = altered(field, code_weights=torch.full_like(field.code_weights, 1 / 600))
-    even.save(tmp_path / "f.scoup", weight_bits=8)
-    assert LanguageField.load(tmp_path / "f.scoup").coded().all()
-
-
 def test_parts_that_do_not_fit_are_refused(field):
-    info, indices, weights, codebook = field.info, field.code_indices, field.code_weights, field.codebook
+    info, (indices, weights, codebook) = field.info, field.parts()[:3]
     for parts in (
         (indices[:, :2], weights, codebook, info),
         (indices, weights[..., :1], codebook, info),

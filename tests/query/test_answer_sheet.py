@@ -78,7 +78,9 @@ def test_the_colours_are_those_of_one_scale() -> None:
     assert low[:600, :600].mean() > high[:600, :600].mean()
 
 
-def test_of_many_views_the_best_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_many_views_the_best_are_shown_and_what_is_there_before_what_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     widths = np.random.default_rng(0).permutation(np.arange(30).repeat(2)).reshape(30, 2)
     views = [[answer(0.7, width > 0, width) for width in row] for row in widths.tolist()]
     chosen: list[int] = []
@@ -90,9 +92,6 @@ def test_of_many_views_the_best_are_shown(monkeypatch: pytest.MonkeyPatch) -> No
     assert heading in " ".join(texts)
     shown = [text.split(":")[0] for text in texts if text.startswith("view ")]
     assert shown[::2] == [f"view {number}" for number in sorted(chosen)]
-
-
-def test_what_is_there_goes_before_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     views = [[answer(0.9, is_present=number != 3)] for number in range(MOST_VIEWS)]
     texts = drawn_texts(sheets_of(["mug"], *views, [answer(0.6)]), monkeypatch)
     assert '"mug" in 12 of 13 views: those that show most' in texts
@@ -100,27 +99,23 @@ def test_what_is_there_goes_before_what_is_not(monkeypatch: pytest.MonkeyPatch) 
     assert "view 3" not in texts
 
 
-def test_more_texts_take_more_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
-    sheets = sheets_of([f"thing {number}" for number in range(8)], [answer(0.7)] * 8)
-    assert len(sheets) == len(sheets.pictures()) == 2
-    headings = [text for text in drawn_texts(sheets, monkeypatch) if text.startswith("texts")]
-    assert headings == ["texts 1 to 4 of 8 in 1 view", "texts 5 to 8 of 8 in 1 view"]
-
-
-@pytest.mark.parametrize("views", [1, 2])
-@pytest.mark.parametrize("texts", [7, 8, 13])
-def test_each_view_is_a_row_of_each_sheet(texts: int, views: int) -> None:
+@pytest.mark.parametrize(("texts", "views", "headings"), [
+    (7, 1, ["7 texts in 1 view"]), (7, 2, ["7 texts in 2 views"]),
+    (8, 1, ["texts 1 to 4 of 8 in 1 view", "texts 5 to 8 of 8 in 1 view"]),
+    (13, 2, [f"texts {texts} of 13 in 2 views" for texts in ("1 to 5", "6 to 9", "10 to 13")]),
+])  # fmt: skip
+def test_each_view_is_a_row_of_each_sheet(
+    texts: int, views: int, headings: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     sheets = sheets_of([f"thing {number}" for number in range(texts)], *[[answer(0.7)] * texts] * views)
-    widths: set[int] = set()
-    count = 0
-    for sheet in sheets.pictures():
-        cells = cells_of(sheet)
-        count += len(cells)
+    assert [text for text in drawn_texts(sheets, monkeypatch) if " in " in text] == headings
+    pictures = [(sheet, cells_of(sheet)) for sheet in sheets.pictures()]
+    for sheet, cells in pictures:
         assert len({cell[0].start for cell in cells}) == views
         assert len(cells) == views * len({cell[1].start for cell in cells})
-        widths |= {cell[1].stop - cell[1].start for cell in cells}
         assert max(cell[1].stop for cell in cells) > sheet.shape[1] - 20  # no empty column
-    assert count == texts * views
+    widths = [cell[1].stop - cell[1].start for _, cells in pictures for cell in cells]
+    assert (len(sheets), len(widths)) == (len(headings), texts * views)
     assert max(widths) - min(widths) <= 1
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from messages import refuses
 from query.conftest import Queried
@@ -14,6 +13,7 @@ from scoup import raster
 from scoup.pictures import as_picture, heat_map, heat_overlay
 from scoup.query.drawings import code_drawing, color_drawing, relevancy_drawing
 from scoup.query.field_view import FieldView
+from support import altered
 
 
 def test_pictures_of_an_answer(queried: Queried) -> None:
@@ -63,13 +63,11 @@ def test_swatches_have_the_colours_of_the_picture(queried: Queried) -> None:
     titled = code_drawing(field, "m")(view)
     assert titled.shape[1] == 200
     top = next(y for y in range(len(titled)) if (titled[y : y + len(plain)] == plain).all())
-    legend = titled[top + len(plain) :].reshape(-1, 3)
-    colors, counts = np.unique(legend, axis=0, return_counts=True)
+    colors, counts = np.unique(titled[top + len(plain) :].reshape(-1, 3), axis=0, return_counts=True)
     vivid = colors[(np.ptp(colors.astype(int), axis=1) > 20) & (counts > 50)].astype(int)
     assert len(vivid) >= 2
     shown = plain[plain.any(2)].astype(int)
-    near = [np.abs(shown - color).max(1).min() for color in vivid]
-    assert min(near) < 40
+    assert min(np.abs(shown - color).max(1).min() for color in vivid) < 40
 
 
 def test_a_field_knows_whether_it_is_visible(queried: Queried) -> None:
@@ -78,7 +76,4 @@ def test_a_field_knows_whether_it_is_visible(queried: Queried) -> None:
     away = camera.viewmat.clone()
     away[2, 3] = -1000
     assert not field.at(replace(camera, viewmat=away)).is_visible()
-    bare = type(field)(
-        field.code_indices, torch.zeros_like(field.code_weights), field.codebook, field.info, field.gaussians
-    )
-    assert not bare.at(camera).is_visible()
+    assert not altered(field, code_weights=0 * field.code_weights).at(camera).is_visible()

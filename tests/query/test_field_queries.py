@@ -22,7 +22,7 @@ from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
-from support import altered
+from support import altered, unit
 
 
 def assert_same_answer(first: ViewAnswer, second: ViewAnswer) -> None:
@@ -62,11 +62,9 @@ REFUSED: list[Callable[[Any, dict[str, Tensor]], object]] = [
     lambda field, _: field.gaussian_features("xl"),
     lambda field, _: field.question(ONES, level="x"),
     *(lambda field, _, texts=texts: field.question(texts) for texts in (["word 1", 3], 5, None, {"word 1"})),
-    lambda field, _: field.question("word 1", present_from=NAN),
-    lambda field, _: field.question("word 1", present_from="a"),
+    *(lambda field, _, bad=bad: field.question("word 1", present_from=bad) for bad in (NAN, "a")),
     lambda field, _: field.question("word 1", threshold="a"),
     lambda field, _: field.with_encoder(3),
-
     *(lambda field, _, bad=bad: field[bad] for bad in ([True] * 79, torch.tensor([80]), [-1], [[True] * 80])),
     *(lambda field, _, bad=bad: field[bad] for bad in (torch.ones(3), None, "a", {1: 2})),
     lambda field, table: nameless(field).at(field.camera(0)).answer("word 1"),
@@ -85,10 +83,9 @@ def test_what_cannot_be_asked(field: LanguageField, table: dict[str, Tensor]) ->
             ask(field, table)
     with pytest.raises(InputError, match="must contain vectors"):  # and what torch says of it
         field.with_encoder({"object": "abc"}).question("word 1")  # pyright: ignore[reportArgumentType]
-    with refuses(UnknownNameError):
-        field.answer("wird 1")
-    with refuses(UnknownNameError):
-        field.at("view_09.png")
+    for ask, name in ((field.answer, "wird 1"), (field.at, "view_09.png")):
+        with refuses(UnknownNameError):
+            ask(name)
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
 
 
@@ -109,19 +106,17 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_but_for_copies(
 
 def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Tensor], tmp_path: Path) -> None:
     field = queried.field
-    (tmp_path / "scene").mkdir()
     WordTable.save(tmp_path / "scene" / "words.npz", list(table), torch.stack(list(table.values())))
     named = altered(field, info=replace(field.info, words=tmp_path / "scene" / "words.npz"))
     named.at(0).answer("word 5")  # what is remembered for views is not saved
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
     other = field.at(0).answer(field.with_encoder(table).question("word 5"))
-    assert_same_answer(loaded.at(0).answer("word 5"), other)
-    assert loaded.encoder is loaded.encoder
+    loaded.save(tmp_path / "saved.scoup")
+    for each in (loaded, LanguageField.load(tmp_path / "saved.scoup")):
+        assert_same_answer(each.at(0).answer("word 5"), other)
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
     assert part.at(0).answer("word 5").view == queried.camera.name
-    loaded.save(tmp_path / "saved.scoup")
-    assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").at(0).answer("word 5"), other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
     with refuses(MissingFileError):
         LanguageField.load(moved).answer("word 5")
@@ -134,7 +129,6 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     field = queried.field.with_encoder(table)
     mask = torch.arange(len(field)) % 2 == 0
     part = field[mask]
-    assert len(part) == int(mask.sum())
     assert part.fingerprint == field.gaussians.select(mask).fingerprint()
     places = mask.nonzero()[:, 0]
     for same in (mask.numpy(), places, places.int().numpy(), places.tolist()):
@@ -148,9 +142,7 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     loaded = LanguageField.load(tmp_path / "part.scoup", words=table)
     assert loaded.gaussians.fingerprint() == part.fingerprint
     assert_same_answer(loaded.at(0).answer("word 3"), part.at(0).answer("word 3"))
-    nothing = field[[]]
-    assert len(nothing) == 0
-    assert "0 Gaussians" in nothing._repr_html_()
+    assert "0 Gaussians" in field[[]]._repr_html_()
     assert field[10:20].fingerprint == field[list(range(10, 20))].fingerprint
 
 
@@ -160,10 +152,9 @@ def test_relevancy_is_of_directions(queried: Queried, scale: float) -> None:
     expected = field.relevancy(queried.camera, texts.queries, texts.canonical)
     found = field.relevancy(queried.camera.name, texts.queries * scale, texts.canonical * max(1.0, scale))
     torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
-    of_gaussians = field.gaussian_relevancy(np.asarray(texts.queries * scale), texts.canonical)
-    torch.testing.assert_close(
-        of_gaussians, field.gaussian_relevancy(texts.queries, texts.canonical), atol=2e-6, rtol=0
-    )
+    expected = field.gaussian_relevancy(texts.queries, texts.canonical)
+    found = field.gaussian_relevancy(np.asarray(texts.queries * scale), texts.canonical)
+    torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
 
 
 def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
@@ -171,8 +162,7 @@ def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
     found = field.gaussian_relevancy(texts.queries, texts.with_everyday().canonical)
     mean = texts.everyday.mean(0, keepdim=True)
     assert float(mean.norm()) < 0.9
-    unit = torch.nn.functional.normalize(mean, dim=1)
-    other = field.gaussian_relevancy(texts.queries, torch.cat([texts.canonical, unit]))
+    other = field.gaussian_relevancy(texts.queries, torch.cat([texts.canonical, unit(mean)]))
     assert not torch.allclose(found, other, atol=1e-4)
 
 
@@ -189,6 +179,5 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         assert torch.equal(answer_relevancy(field, place), own)
         asked = field.with_encoder(table).question(texts.queries, level=np.int64(number))  # pyright: ignore
         assert asked.level == number
-    best = next(iter(each_answer(field, texts)))
-    own = next(iter(each_answer(field, replace(texts, level=field.level_index(best.level)))))
-    assert torch.equal(best.mask, own.mask)
+        best = next(iter(each_answer(field, texts)))
+        assert best.level != level or best.mask.equal(place.mask)

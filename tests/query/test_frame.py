@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,23 +17,18 @@ from query.planted_room import FRONT, Box, planted_room
 from scoup.scene import Camera, estimate_up
 from support import examples
 
-# Right, down and forward of a camera that looks at the floor.
-DOWN = ((1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0))
-
 
 def rolled(camera: Camera, degrees: float) -> Camera:
     """The camera turned about its own direction of view."""
     turn = torch.eye(4, dtype=torch.float64)
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     turn[:2, :2] = torch.tensor([[c, -s], [s, c]])
-    return Camera(camera.name, turn @ camera.viewmat, camera.K, camera.width, camera.height)
+    return replace(camera, viewmat=turn @ camera.viewmat)
 
 
 def looking_down(name: str, degrees: float = 0.0) -> Camera:
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3] = torch.tensor(DOWN, dtype=torch.float64)
-    viewmat[2, 3] = 5.0
-    return rolled(Camera(name, viewmat, FRONT.K, 64, 48), degrees)
+    """Its image's top is towards +y where it is not turned."""
+    return rolled(Camera.look_at((0, 0, 5), (0, 0, 0), name, 64, 48, 50, up=(0, 1, 0)), degrees)
 
 
 def degrees_between(one: Tensor, other: Tensor) -> float:
@@ -44,13 +40,11 @@ def degrees_between(one: Tensor, other: Tensor) -> float:
 def test_level_cameras_tell_up_within_a_degree(seed, highest, count) -> None:
     """Cameras around a scene, each held level within a degree, at any height; the world is turned anyhow."""
     rng = np.random.default_rng(seed)
-    up = rng.normal(size=3)
-    up = up / np.linalg.norm(up)
-    side = np.linalg.qr(np.stack([up, *rng.normal(size=(2, 3))]).T)[0]
-    cameras = []
+    side, cameras = np.linalg.qr(rng.normal(size=(3, 3)))[0], []
+    up = side[:, 0]
     for place in range(count):
         angle = 2 * np.pi * place / count + rng.uniform(0, 0.2)
-        eye = 3 * np.cos(angle) * side[:, 1] + 3 * np.sin(angle) * side[:, 2] + rng.uniform(0, highest) * up
+        eye = side @ [rng.uniform(0, highest), 3 * np.cos(angle), 3 * np.sin(angle)]
         camera = Camera.look_at(eye, rng.uniform(-0.2, 0.2, 3), "a.png", 64, 48, 50, up=up)
         cameras.append(rolled(camera, rng.uniform(-1, 1)))
     assert degrees_between(estimate_up(cameras), torch.from_numpy(up)) < 1.0

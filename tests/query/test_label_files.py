@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
 from scoup.query.label_writing import LabelFiles, labelled_colors
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map
+from scoup.query.language_field import LanguageField
 from scoup.scene import SH_C0, estimate_up
 
 ALL = ("sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet")
@@ -37,10 +39,8 @@ def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
     """Pixel by pixel the words' shares of its light, by one render a word."""
     projection = queried.field.project(queried.camera)
     numbers = [NONE, *range(len(labels.names))]
-    shares = []
-    for number in numbers:
-        mask = (labels.ids == number).float()[:, None]
-        shares.append(raster.render_channels(projection, mask)[0][..., 0].numpy())
+    masks = [(labels.ids == number).float()[:, None] for number in numbers]
+    shares = [raster.render_channels(projection, mask)[0][..., 0].numpy() for mask in masks]
     painted = np.sum(shares, 0) >= 0.5
     return np.where(painted, np.array(numbers)[np.argmax(shares, 0)], NONE)
 
@@ -59,15 +59,17 @@ def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianL
 def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
     files = LabelFiles(labels.names, ALL, [replace(queried.camera, name="first.png")])
     assert files.write(queried.field, labels, tmp_path) == []
-    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert found == set(files.names)
+    written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert written == set(files.names)
+    rows = PlyTable.read(tmp_path / "labels.ply").rows
     ids = np.load(tmp_path / "labels.npy", allow_pickle=False)
-    assert ids.dtype == np.int32
-    assert ids.tolist() == labels.ids.tolist()
-    table = PlyTable.read(tmp_path / "labels.ply")
-    assert table.rows["label"].tolist() == labels.ids.tolist()
-    assert table.rows["thing"].tolist() == labels.instances.tolist()
-    assert table.rows["label"].dtype == table.rows["thing"].dtype == np.int32
+    for found, expected in (
+        (ids, labels.ids),
+        (rows["label"], labels.ids),
+        (rows["thing"], labels.instances),
+    ):
+        assert found.dtype == np.int32
+        assert found.tolist() == expected.tolist()
     record = json.loads((tmp_path / "labels.json").read_text())
     assert record == json.loads(json.dumps(labels.to_dict()))
     for entry in record["classes"]:
@@ -89,17 +91,21 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
     assert read_gltf(tmp_path / "labels.glb").means.equal(queried.field.gaussians.means)
 
 
+def usd_of(field: LanguageField, labels: GaussianLabels, folder: Path) -> Any:
+    """The stage that is written."""
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    LabelFiles(labels.names, ("usd",)).write(field, labels, folder)
+    return usd.Stage.Open(str(folder / "labels.usdc"))
+
+
 @pytest.mark.parametrize("asked", ["queried", "voted"])
 def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    pytest.importorskip("pxr", reason="usd-core is not installed")
-    Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdValidation = (
-        import_module(f"pxr.{name}")
-        for name in ("Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdValidation")
-    )
     scene: Queried = request.getfixturevalue(asked)
     labels = scene.field.label(scene.texts)
-    LabelFiles(labels.names, ("usd",)).write(scene.field, labels, tmp_path)
-    stage = Usd.Stage.Open(str(tmp_path / "labels.usdc"))
+    stage = usd_of(scene.field, labels, tmp_path)
+    UsdGeom, UsdPhysics, UsdSemantics, UsdValidation = (
+        import_module(f"pxr.Usd{name}") for name in ("Geom", "Physics", "Semantics", "Validation")
+    )
     checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
     assert [error.GetMessage() for error in checks.Validate(stage)] == []
     means = lambda prim: np.array(prim.GetAttribute("positions").Get()) * [1, -1, -1]  # noqa: E731
@@ -128,13 +134,10 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
 def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
     queried: Queried, tmp_path: Path
 ) -> None:
-    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     rows = torch.arange(len(queried.field)).int()
     facts = (None, None), (True, True), ("m", "m"), ((0,), (0,))
     labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)
-    LabelFiles(labels.names, ("usd",)).write(queried.field, labels, tmp_path)
-    stage = usd.Stage.Open(str(tmp_path / "labels.usdc"))
-    prims = stage.GetDefaultPrim().GetChildren()
+    prims = usd_of(queried.field, labels, tmp_path).GetDefaultPrim().GetChildren()
     beyond = len(queried.field.thing_table or ())
     assert {prim.GetName() for prim in prims} == {"a_b_0", "a_b__0", f"a_b_{beyond}", f"a_b_{beyond + 1}"}
 
@@ -147,12 +150,9 @@ def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels
     rgb = shown.sh[:, 0] * SH_C0 + 0.5
     grey = rgb[labels.ids == NONE]
     assert (grey.amax(1) - grey.amin(1) < 1e-5).all()
-    for number, color in enumerate(label_colors(len(labels.names)).astype(float)):
-        own = rgb[labels.ids == number]
-        if len(own):
-            # A colour times a lightness keeps its proportions, unless a channel is full.
-            full = own.amax(1) >= 1 - 1e-4
-            shares = (own / own.amax(1, keepdim=True))[~full]
-            assert torch.allclose(
-                shares, torch.from_numpy(color / color.max()).float().expand_as(shares), atol=1e-3
-            )
+    # A colour times a lightness keeps its proportions, unless a channel is full.
+    own = (labels.ids != NONE) & (rgb.amax(1) < 1 - 1e-4)
+    colors = torch.from_numpy(label_colors(len(labels.names))).float()[labels.ids[own].long()]
+    shares, expected = (each / each.amax(1, keepdim=True) for each in (rgb[own], colors))
+    assert len(shares) > 9
+    assert torch.allclose(shares, expected, atol=1e-3)

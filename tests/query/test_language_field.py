@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+import pickletools
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -55,14 +57,11 @@ ASKED: dict[str, Callable[[LanguageField], Any]] = {
 def test_a_question_leaves_the_field_as_it_is() -> None:
     field = planted_room()
     parts, tensors = state(field)
-    assert field.thing_table is not None
-    assert field.thing_table.names is None
     for name, ask in ASKED.items():
         ask(field)
         others, after = state(field)
         assert [id(part) for part in others] == [id(part) for part in parts], name
         assert all(one.equal(other) for one, other in zip(tensors, after, strict=True)), name
-        assert field.thing_table.names is None, name
 
 
 def test_other_words_and_names_make_other_fields_of_the_same_tensors() -> None:
@@ -73,8 +72,6 @@ def test_other_words_and_names_make_other_fields_of_the_same_tensors() -> None:
     swapped = field.with_encoder({**known, "lamp": known["mug"], "mug": known["lamp"]})
     named = scoup.refine(field, "lamp", Lamps()).field
     for other in (swapped, named):
-        assert type(other) is LanguageField
-        assert other is not field
         assert other.cache is not field.cache
         for name in ("code_indices", "code_weights", "codebook", "gaussians", "info", "cameras", "path"):
             assert getattr(other, name) is getattr(field, name), name
@@ -83,6 +80,7 @@ def test_other_words_and_names_make_other_fields_of_the_same_tensors() -> None:
     assert named.encoder is encoder
     assert named.thing_table is not None
     assert getattr(named.thing_table.names, "texts", None) == ("lamp",)
+    assert getattr(field.thing_table, "names", "") is None
     assert field.answer("lamp").to_dict() == before
 
 
@@ -96,22 +94,12 @@ def test_words_are_opened_at_the_first_text_and_kept() -> None:
     assert LanguageField.of(data, field.words).answer("lamp").mask.any()
 
 
-def held(value: Any) -> list[Any]:
-    """A value and all that it contains."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, (list, tuple)):
-        return [each for inner in value for each in held(inner)]
-    inner = [getattr(value, each.name) for each in fields(value)] if is_dataclass(value) else []
-    return [value, *held(inner)]
-
-
-def test_an_answer_has_ten_fields_and_none_of_them_is_a_language_field() -> None:
+def test_answers_contain_neither_a_field_nor_an_encoder() -> None:
     assert len(fields(Answer)) == 10
-    for answer in planted_room().answer(["mug", "largest mug", "lamp and not mug"]):
-        every = held(answer)
-        assert len(every) > 10
-        assert not any(isinstance(each, (Field, TextEncoder)) for each in every)
+    content = pickle.dumps(planted_room().answer(["mug", "largest mug", "lamp and not mug"]))
+    classes = {argument for _, argument, _ in pickletools.genops(content)}
+    assert {"ExpressionAnswer", "AskedText"} <= classes
+    assert not classes & {"LanguageField", "Field", "TextEncoder"}
 
 
 def test_phrases_and_expressions_have_answers_with_a_tree_and_parts() -> None:
@@ -119,7 +107,6 @@ def test_phrases_and_expressions_have_answers_with_a_tree_and_parts() -> None:
     assert type(room.answer("mug")) is Answer
     found = room.answer("lamp and not mug left of the laptop")
     assert isinstance(found, ExpressionAnswer)
-    assert str(found.tree) == "lamp and not mug left of laptop"
     assert (found.tree.wanted, found.tree.excluded) == (("lamp",), ("mug", "laptop"))
     assert [part.text for part in found.parts] == ["lamp", "mug", "laptop"] == list(found.tree.texts)
     for part in found.parts:

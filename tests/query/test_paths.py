@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -11,16 +12,14 @@ from messages import refuses
 from scoup.query.paths import MOST_STOPS, camera_path, turntable
 from scoup.scene import Camera, Cameras
 
-UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
+SIDES = np.linalg.qr([[0.2, 1.0, 0.3], [-0.9, 0.0, 0.4], [0.4, 0.0, 1.0]])[0].T
+UP = SIDES[0]
 
 
-def ring(count: int, share: float = 1.0, tilt: float = 0.6) -> Cameras:
+def ring(count: int, share: float = 1.0) -> Cameras:
     """Cameras on a part of a circle about a tilted axis, looking down at its middle."""
-    first = np.cross(UP, [1.0, 0.0, 0.0])
-    first /= np.linalg.norm(first)
-    second = np.cross(UP, first)
     angles = 2 * math.pi * share * np.arange(count) / count
-    places = [math.cos(a) * first + math.sin(a) * second + tilt * UP for a in angles]
+    places = [[0.6, math.cos(angle), math.sin(angle)] @ SIDES for angle in angles]
     return Cameras(
         Camera.look_at(place, np.zeros(3), f"{number:03d}.png", 40, 30, 35.0, UP)
         for number, place in enumerate(places)
@@ -44,28 +43,27 @@ def test_a_path_begins_and_ends_at_the_cameras_and_leads_through_them() -> None:
 
 def test_paths_of_many_or_one_camera() -> None:
     assert len(camera_path(ring(3 * MOST_STOPS), 10)) == 10
-    alone = camera_path(ring(1), 4)
-    assert len(alone) == 4
-    assert all(torch.equal(camera.viewmat, ring(1)[0].viewmat) for camera in alone)
-    same = Cameras(Camera(f"{n}.png", ring(1)[0].viewmat, ring(1)[0].K, 40, 30) for n in range(3))
-    assert torch.isfinite(torch.stack([camera.viewmat for camera in camera_path(same, 9)])).all()
+    (one,) = ring(1)
+    for same in (ring(1), Cameras(replace(one, name=f"{number}.png") for number in range(3))):
+        found = torch.stack([camera.viewmat for camera in camera_path(same, 9)])
+        assert torch.allclose(found, one.viewmat.expand(9, 4, 4))
     for cameras, count in ((Cameras([]), 5), (ring(3), 0)):
         with refuses():
             camera_path(cameras, count)
 
 
 def test_a_turntable_keeps_distance_and_height() -> None:
-    camera, centre = ring(5)[2], np.array([0.1, 0.2, -0.1])
-    cameras = turntable(camera, centre, UP, 8)
-    arms = torch.stack([each.position for each in cameras]) - torch.from_numpy(centre)
-    assert torch.allclose(arms[0], camera.position - torch.from_numpy(centre))
+    camera, centre, up = ring(5)[2], torch.tensor([0.1, 0.2, -0.1]).double(), torch.from_numpy(UP)
+    cameras = turntable(camera, centre.numpy(), UP, 8)
+    arms = torch.stack([each.position for each in cameras]) - centre
+    assert torch.allclose(arms[0], camera.position - centre)
     assert torch.allclose(arms.norm(dim=1), arms[0].norm().expand(8))
-    assert torch.allclose(arms @ torch.from_numpy(UP), (arms[0] @ torch.from_numpy(UP)).expand(8))
+    assert torch.allclose(arms @ up, (arms[0] @ up).expand(8))
     for each in cameras:
-        seen = each.viewmat[:3, :3] @ torch.from_numpy(centre) + each.viewmat[:3, 3]
+        seen = each.viewmat[:3, :3] @ centre + each.viewmat[:3, 3]
         assert torch.allclose(seen[:2], torch.zeros(2, dtype=torch.float64), atol=1e-9)
         assert seen[2] > 0
-    assert torch.allclose(arms[4] + arms[0], 2 * (arms[0] @ torch.from_numpy(UP)) * torch.from_numpy(UP))
+    assert torch.allclose(arms[4] + arms[0], 2 * (arms[0] @ up) * up)  # half a turn
 
 
 def test_what_a_camera_cannot_turn_around_is_refused() -> None:

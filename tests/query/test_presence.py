@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import replace
 
 import pytest
@@ -36,8 +37,7 @@ def test_the_score_is_the_share_of_words_that_fit_worse(words: list[tuple[int, b
 
 def literal_others(query: Tensor, words: Tensor) -> list[bool]:
     near = [float(query @ word) for word in words]
-    mean = sum(near) / len(near)
-    deviation = math.sqrt(sum((one - mean) ** 2 for one in near) / (len(near) - 1))
+    mean, deviation = statistics.mean(near), statistics.stdev(near)
     return [one < constants.SAME_WORD and one <= mean + constants.OTHER_NAME * deviation for one in near]
 
 
@@ -59,29 +59,29 @@ def literal_scores(field: LanguageField, question: Question) -> list[float]:
     known = thing_index(field, question)
     assert known is not None
     (vectors,) = known.vectors
-    fits = known.fits(question.everyday)
-    best = []
-    for number in range(len(question.everyday)):
-        allowed = [
-            float(fits[thing, number])
-            for thing in range(len(vectors))
-            if int((question.everyday @ vectors[thing]).argmax()) != number
-        ]
-        best.append(max(allowed, default=-math.inf))
+    named = [int((question.everyday @ vector).argmax()) for vector in vectors]
+    best = [
+        max((float(fit) for fit, name in zip(fits, named, strict=True) if name != number), default=-math.inf)
+        for number, fits in enumerate(known.fits(question.everyday).T)
+    ]
     scores = []
-    for answer, query in zip(list(each_answer(field, question)), question.queries, strict=True):
+    for answer, query in zip(each_answer(field, question), question.queries, strict=True):
         fit = max(float(known.fits(query[None])[thing]) for thing in answer.things)
         scores.append(share_below(fit, best, literal_others(query, question.everyday)))
     return scores
 
 
+def scores_of(field: LanguageField, question: Question) -> list[float | None]:
+    return [answer.score for answer in each_answer(field, question)]
+
+
 def test_scores_of_things(queried: Queried) -> None:
-    found = [answer.score for answer in list(each_answer(queried.field, queried.texts))]
+    found = scores_of(queried.field, queried.texts)
     assert found == pytest.approx(literal_scores(queried.field, queried.texts))
     assert len(set(found)) > 3
     room = planted_room()
     question = room.question(["mug", "laptop", "unicorn", "word 3"], always=True)
-    found = [answer.score for answer in list(each_answer(room, question))]
+    found = scores_of(room, question)
     assert found == pytest.approx(literal_scores(room, question))
     assert found[:2] == [1, 1]
     assert (found[2] or 0) < constants.PRESENT_FROM
@@ -97,18 +97,16 @@ def test_scores_of_votes(voted: Queried) -> None:
 
     words = [fit(word) for word in texts.everyday]
     assert SampledVotes(field, texts).best_fits.tolist() == pytest.approx(words, abs=1e-6)
-    for answer, query in zip(list(each_answer(field, texts)), texts.queries, strict=True):
-        expected = share_below(fit(query), words, literal_others(query, texts.everyday))
-        assert answer.score == pytest.approx(expected)
+    others = [literal_others(query, texts.everyday) for query in texts.queries]
+    expected = [share_below(fit(query), words, own) for query, own in zip(texts.queries, others, strict=True)]
+    assert scores_of(field, texts) == pytest.approx(expected)
 
 
 def test_votes_compared_with_other_phrases_are_other_votes(voted: Queried) -> None:
-    field = voted.field.with_gaussians(voted.field.gaussians)
-    first = [answer.score for answer in list(each_answer(field, voted.texts))]
+    field, fresh = (voted.field.with_gaussians(voted.field.gaussians) for _ in range(2))
     others = replace(voted.texts, canonical=random_vectors(2, 16, seed=7))
-    fresh = voted.field.with_gaussians(voted.field.gaussians)
-    expected = [answer.score for answer in list(each_answer(fresh, others))]
-    assert [answer.score for answer in list(each_answer(field, others))] == expected != first
+    first = scores_of(field, voted.texts)
+    assert scores_of(field, others) == scores_of(fresh, others) != first
 
 
 def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Queried) -> None:
@@ -156,10 +154,7 @@ def test_fewer_than_ten_gaussians_are_absent(has_things: bool) -> None:
         assert answer.presence == (count == 10)
         assert int(answer.mask.sum()) == (10 if count == 10 else 0)
         assert len(part.things("mug")) == (count == 10)
-        forced = part.question("mug", always=True)
-        assert int(part.answer(forced).mask.sum()) == count
-        place = part.location(forced)
-        assert place.thing is not None
-        assert place.thing.n_gaussians == count
+        place = part.location(part.question("mug", always=True))
+        assert (getattr(place.thing, "n_gaussians", 0), int(place.answer.mask.sum())) == (count, count)
     said = f"not in this scene: what fits has fewer than 10 Gaussians (score {answer.score:.2f})"
     assert answer.remark() == said

@@ -17,7 +17,6 @@ from scoup.query.question import Question
 from scoup.query.select import Reshaping, reshaped
 from scoup.query.things import LONGEST_LINK, NEIGHBOURS
 from scoup.query.votes import MOST_TEXTS, level_thresholds, select_by_relevancy, select_each
-from scoup.scene import Gaussians
 from support import examples, gaussians_at, random_gaussians
 
 
@@ -89,32 +88,22 @@ def test_select_equals_loops(
     assert found.fit == (pytest.approx(float(mean)) if any(mask) else -torch.inf)
 
 
-def test_the_level_by_its_peak_with_a_threshold_and_by_its_mean_without() -> None:
-    relevancy = torch.full((3, 20), 0.3)
-    relevancy[0, :8] = 0.8  # a few higher, most of them lower
-    relevancy[0, 0] = 0.9
-    relevancy[1, :8] = 0.85
-    coded = torch.ones(3, 20, dtype=torch.bool)
-    coded[2] = False
-    by_peak, by_mean = (select_by_relevancy(relevancy, coded, threshold=each) for each in (0.6, None))
-    assert (by_peak.level, by_peak.threshold, by_mean.level) == (0, 0.6, 1)
-    assert by_peak.fit == pytest.approx((0.9 + 7 * 0.8) / 8)
-    assert by_mean.fit == pytest.approx(0.85)
-    assert by_mean.threshold == pytest.approx(0.64)
-    assert by_mean.mask.nonzero()[:, 0].tolist() == list(range(8))
-    # Levels alike: the first answers.
-    assert select_by_relevancy(relevancy[[1, 1]], coded[:2]).level == 0
+def test_of_levels_alike_the_first_answers() -> None:
+    relevancy = torch.tensor([0.3] * 12 + [0.85] * 8).expand(2, 20)
+    for threshold in (0.6, None):
+        found = select_by_relevancy(relevancy, torch.ones(2, 20, dtype=torch.bool), threshold=threshold)
+        assert (found.level, found.fit) == (0, pytest.approx(0.85))
+        assert found.threshold == pytest.approx(threshold or 0.64)
 
 
 @pytest.mark.parametrize("threshold", [None, 0.0, 0.6])
 def test_nothing_is_selected_where_nothing_stands_out(threshold: float | None) -> None:
-    relevancy = torch.tensor([0.4, 0.6])[:, None].expand(2, 5)
-    found = select_by_relevancy(relevancy, torch.ones(2, 5, dtype=torch.bool), threshold=threshold)
-    assert (found.level, bool(found.mask.any())) == (1, False)
-    nobody = select_by_relevancy(relevancy, torch.zeros(2, 5, dtype=torch.bool), threshold=threshold)
-    assert (nobody.level, bool(nobody.mask.any()), nobody.fit) == (0, False, -torch.inf)
-    empty = select_by_relevancy(torch.zeros(2, 0), torch.zeros(2, 0).bool(), threshold=threshold)
-    assert (empty.level, len(empty.mask), empty.fit) == (0, 0, -torch.inf)
+    for count, is_coded, level in ((5, True, 1), (5, False, 0), (0, True, 0)):
+        relevancy = torch.tensor([0.4, 0.6])[:, None].expand(2, count)
+        coded = torch.full((2, count), is_coded)
+        found = select_by_relevancy(relevancy, coded, threshold=threshold)
+        assert (found.level, found.mask.tolist()) == (level, [False] * count)
+        assert level == 1 or found.fit == -torch.inf
 
 
 def test_select_many_queries_and_refusals() -> None:
@@ -164,30 +153,16 @@ def test_reshaped_equals_loops(count: int, shrink: int, grow: int, within: float
 
 def test_the_largest_part_is_the_one_that_weighs_most() -> None:
     generator = torch.Generator().manual_seed(0)
-    clumps = [torch.rand(40, 3, generator=generator), torch.rand(30, 3, generator=generator) + 20]
-    gaussians = gaussians_at(torch.cat(clumps))
     mask, first = torch.ones(70, dtype=torch.bool), torch.arange(70) < 40
-    assert reshaped(gaussians, mask, torch.ones(70), Reshaping(largest=True)).equal(first)
-    heavier = torch.where(first, 0.5, 1.0)
-    assert reshaped(gaussians, mask, heavier, Reshaping(largest=True)).equal(~first)
-
-
-def test_growing_does_not_leap() -> None:
-    """A lone Gaussian far away has nearest neighbours inside, but is none of them."""
-    means = torch.cat(
-        [torch.rand(50, 3, generator=torch.Generator().manual_seed(1)), torch.full((1, 3), 40.0)]
-    )
-    mask = torch.arange(51) < 25
-    grown = reshaped(gaussians_at(means), mask, torch.ones(51), Reshaping(grow=5))
-    assert grown[:50].all()
-    assert not grown[50]
+    gaussians = gaussians_at(torch.rand(70, 3, generator=generator) + 20.0 * ~first[:, None])
+    for weight, expected in ((1.0, first), (0.5, ~first)):
+        weights = torch.where(first, weight, 1.0)
+        assert reshaped(gaussians, mask, weights, Reshaping(largest=True)).equal(expected)
 
 
 def test_ugly_gaussians_are_left_out() -> None:
-    gaussians = random_gaussians(30, seed=2)
-    means = gaussians.means.clone()
-    means[3], means[4] = torch.nan, torch.inf
-    ugly = Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    ugly = random_gaussians(30, seed=2)
+    ugly.means[3], ugly.means[4] = torch.nan, torch.inf
     mask = torch.ones(30, dtype=torch.bool)
     for wanted in (Reshaping(grow=1), Reshaping(shrink=1), Reshaping(largest=True), Reshaping(within=100.0)):
         found = reshaped(ugly, mask, torch.full((30,), torch.nan), wanted)
@@ -196,8 +171,8 @@ def test_ugly_gaussians_are_left_out() -> None:
 
 
 def test_numbers_out_of_range_are_refused() -> None:
-    for number in (-1, 1001, -0.1, float("nan"), float("inf")):
-        for name in ("grow", "shrink", "within"):
-            if name != "within" or number != 1001:
-                with refuses():
-                    Reshaping(**{name: number})  # pyright: ignore[reportArgumentType]
+    wrong = (-1, -0.1, float("nan"), float("inf"))
+    for name, numbers in {"grow": (*wrong, 1001), "shrink": (*wrong, 1001), "within": wrong}.items():
+        for number in numbers:
+            with refuses():
+                Reshaping(**{name: number})  # pyright: ignore[reportArgumentType]

@@ -28,19 +28,15 @@ def stable_thresholds(values: Tensor) -> Tensor:
     return level_thresholds(values, torch.ones_like(values, dtype=torch.bool))[0]
 
 
-def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
-    """How many values are above the window's lower end, and above its upper end; at least 1."""
-    larger, smaller = (sum(value >= end / 100 for value in rescaled) for end in (step - 5, step + 5))
-    return max(1, larger), max(1, smaller)
-
-
 def slow_costs(values: list[float]) -> dict[int, float]:
     """Of each threshold in hundredths: the change of the logarithm of the area, with the pull."""
     low, high = min(values), max(values)
     rescaled = [min(1.0, max(0.0, 2 * (value - low) / (high - low + 1e-9) - 1)) for value in values]
     costs = {}
-    for step in STEPS:
-        larger, smaller = areas_around(rescaled, step)
+    for step in STEPS:  # how many are above the lower and the upper end of a window
+        larger, smaller = (
+            max(1, sum(value >= end / 100 for value in rescaled)) for end in (step - 5, step + 5)
+        )
         costs[step] = math.log(larger) - math.log(smaller) + 0.05 * abs(step / 100 - 0.64)
     return costs
 
@@ -89,11 +85,10 @@ def test_the_first_and_the_last_window_count(start: int, expected: float) -> Non
 
 
 def test_rows_without_meaning_and_where_all_are_alike_have_the_centre() -> None:
-    step = torch.tensor([0.0] * 9 + [1.0])
-    alike = [torch.full((1, 7), 0.5), torch.tensor([[0.4]]), torch.zeros(1, 5), step[None]]
-    odd = [torch.tensor([[0.1, 0.2, number, 0.9]]) for number in (torch.nan, torch.inf, -torch.inf)]
-    for values in (*alike, *odd, torch.zeros(3, 0)):
-        assert stable_thresholds(values).tolist() == pytest.approx([constants.CENTRE] * len(values))
+    alike, odd = ([0.5] * 7, [0.4], [0.0] * 5, [0.0] * 9 + [1.0]), (torch.nan, torch.inf, -torch.inf)
+    for values in (*alike, *([0.1, 0.2, number, 0.9] for number in odd), []):
+        found = stable_thresholds(torch.tensor([values] * 3))
+        assert found.tolist() == pytest.approx([constants.CENTRE] * 3)
 
 
 def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
