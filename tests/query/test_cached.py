@@ -65,9 +65,9 @@ def test_fields_of_the_same_tensors_keep_answers_of_their_own(field: LanguageFie
 
 
 def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
-    field.cache = Cache(50_000)
+    field.cache = Cache(25_000)
     sizes, dice = [], np.random.default_rng(0)
-    for number in range(150):
+    for number in range(75):
         one, other = dice.choice(WORDS[4:], 2, replace=False).tolist()
         if number % 3 == 0:
             level, always = int(dice.integers(2)), bool(dice.integers(2))
@@ -78,8 +78,8 @@ def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
             field.location(random_vectors(16, seed=number))
         sizes.append((len(field.cache), field.cache.bytes))
     count, n_bytes = (max(each) for each in zip(*sizes, strict=True))
-    assert 20 < count <= 50_000 / ENTRY_BYTES
-    assert 40_000 < n_bytes <= 50_000
+    assert 10 < count <= 25_000 / ENTRY_BYTES
+    assert 20_000 < n_bytes <= 25_000
 
 
 def test_what_is_kept_is_the_newest_within_bounds() -> None:
