@@ -171,9 +171,7 @@ def test_scans_are_listed_again_if_one_has_gone(archive: scoup.Archive, monkeypa
 
 
 @pytest.mark.parametrize("is_before", [True, False])
-def test_things_are_of_the_files_of_a_condition(
-    archive: scoup.Archive, fields: Fields, monkeypatch, is_before: bool
-) -> None:
+def test_things_are_of_the_files_of_a_condition(archive, fields: Fields, monkeypatch, is_before) -> None:
     floors, asked, matching = [7], list[list[str]](), scoup.Archive._wanted
 
     def replace_office() -> None:

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from torch import Tensor
 
@@ -111,9 +110,7 @@ def test_parts_that_change_while_a_value_is_made_leave_nothing() -> None:
         assert kept.value("sum", lambda: part.sum(), [part]) == 0
 
 
-def test_a_view_keeps_what_further_questions_reuse(
-    field: LanguageField, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_view_keeps_what_further_questions_reuse(field: LanguageField, monkeypatch) -> None:
     weights = field.code_weights.clone()  # those of other tests stay as they are
     field = altered(field, code_weights=weights, words=field.words)
     view, queries, canonical = field.at(0), random_vectors(12, 16), random_vectors(3, 16, seed=1)

@@ -45,9 +45,7 @@ def test_drawings_of_a_view(queried: Queried) -> None:
     assert np.array_equal(plain, heat_overlay(answer.heat, rgb))
 
 
-def test_the_same_code_has_the_same_colour_in_every_view(
-    queried: Queried, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_code_has_the_same_colour_in_every_view(queried: Queried, monkeypatch) -> None:
     field, camera = queried.field, queried.camera
     monkeypatch.delattr(FieldView, "render_codes")  # takes gigabytes for a large view
     draw = code_drawing(field, "m", plain=True)
@@ -147,9 +145,7 @@ def test_the_colours_are_those_of_one_scale() -> None:
     assert low[:600, :600].mean() > high[:600, :600].mean()
 
 
-def test_of_many_views_the_best_are_shown_and_what_is_there_before_what_is_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_of_many_views_those_that_show_most_are_drawn(monkeypatch) -> None:
     widths = np.random.default_rng(0).permutation(np.arange(30).repeat(2)).reshape(30, 2)
     views = [[answer(0.7, width > 0, width) for width in row] for row in widths.tolist()]
     chosen: list[int] = []
@@ -173,9 +169,7 @@ def test_of_many_views_the_best_are_shown_and_what_is_there_before_what_is_not(
     (8, 1, ["texts 1 to 4 of 8 in 1 view", "texts 5 to 8 of 8 in 1 view"]),
     (13, 2, [f"texts {texts} of 13 in 2 views" for texts in ("1 to 4", "5 to 8", "9 to 13")]),
 ])  # fmt: skip
-def test_each_view_is_a_row_of_each_sheet(
-    texts: int, views: int, headings: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_view_is_a_row_of_each_sheet(texts: int, views: int, headings: list[str], monkeypatch) -> None:
     sheets = sheets_of([f"thing {number}" for number in range(texts)], *[[answer(0.7)] * texts] * views)
     assert [text for text in drawn_texts(sheets, monkeypatch) if text.startswith("texts")] == headings
     pictures = [(sheet, cells_of(sheet)) for sheet in sheets.pictures()]

@@ -204,9 +204,7 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
     assert found == int((labels.ids != NONE).sum()) > 0
 
 
-def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
-    queried: Queried, tmp_path: Path
-) -> None:
+def test_words_that_read_alike_have_prims_of_their_own(queried: Queried, tmp_path: Path) -> None:
     rows = torch.arange(len(queried.field)).int()
     facts = (None, None), (True, True), ("m", "m"), ((0,), (0,))
     labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)

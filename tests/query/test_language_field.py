@@ -193,9 +193,7 @@ def test_what_cannot_be_asked(field: LanguageField, table: dict[str, Tensor]) ->
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
 
 
-def test_answers_are_drawn_by_the_field_s_rasteriser_but_for_copies(
-    queried: Queried, table: dict[str, Tensor]
-) -> None:
+def test_answers_are_drawn_by_the_field_s_rasteriser(queried: Queried, table: dict[str, Tensor]) -> None:
     field = queried.field
     other = altered(field, info=replace(field.info, raster_preset="gsplat"), thing_table=None)
     answer = other.at(0).answer(other.with_encoder(table).question("word 3", always=True))
@@ -227,9 +225,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     assert loaded.to("cpu") is loaded
 
 
-def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
-    queried: Queried, table: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_a_part_of_a_field_is_a_field(queried: Queried, table: dict[str, Tensor], tmp_path: Path) -> None:
     field = queried.field.with_encoder(table)
     mask = torch.arange(len(field)) % 2 == 0
     part = field[mask]

@@ -153,9 +153,7 @@ def demo() -> tuple[LanguageField, list[str]]:
 
 
 @pytest.mark.parametrize("has_things", [True, False])
-def test_the_demo_scene(
-    demo: tuple[LanguageField, list[str]], has_things: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_demo_scene(demo, has_things: bool, monkeypatch) -> None:
     field, words = demo
     assert field.cameras is not None
     assert field.thing_table is not None

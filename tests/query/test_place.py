@@ -120,9 +120,7 @@ def test_strays_do_not_move_it() -> None:
      ((0.6, 0.5), (0.8, 0.8), 10)],
     ids=["more", "more opaque", "more relevant, 80 against 75", "60 against 75"],
 )  # fmt: skip
-def test_the_thing_is_meant_that_weighs_most_by_opacity_times_relevancy(
-    relevancies: tuple[float, float], opacities: tuple[float, float], position: float
-) -> None:
+def test_the_heaviest_thing_is_meant(relevancies, opacities, position: float) -> None:
     counts = torch.tensor([100, 150])
     few, many = block(100, [1.0] * 3), block(150, [1.0] * 3, seed=1) + 10
     relevancy, opacity = (
@@ -166,7 +164,7 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     st.sampled_from([0.0, 1e-300, 1.0, 1e300]),
     st.booleans(),
 )
-def test_quantiles_of_many_things_are_those_of_sorted_values(
+def test_quantiles_are_those_of_sorted_values(
     sizes: list[int], seed: int, scale: float, strays: bool
 ) -> None:
     random = np.random.default_rng(seed)

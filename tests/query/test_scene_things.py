@@ -196,9 +196,7 @@ def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], object
     (9, constants.STABLE - 0.1, True, "", True),  # another level has it, too
     (constants.LEAST_REGIONS - 1, constants.STABLE, True, "", False), (1, 0.0, False, "lamp", True),
 ])  # fmt: skip
-def test_fragments_without_a_name_are_no_objects(
-    regions: int, stability: float, again: bool, name: str, is_object: bool
-) -> None:
+def test_fragments_without_a_name_are_no_objects(regions, stability, again, name, is_object) -> None:
     room = planted_room()
     assert room.thing_table is not None
     room.thing_table.n_regions[:], room.thing_table.stability[:] = regions, stability

@@ -77,9 +77,7 @@ def literal_stable_select(values, coded) -> tuple[list[bool], int, float]:
     st.integers(1, 40), st.floats(0, 1), st.sampled_from([0.55, None]), st.sampled_from([None, 0, 2]),
     st.integers(0, 2**31),
 )  # fmt: skip
-def test_select_equals_loops(
-    count: int, share: float, threshold: float | None, level: int | None, seed: int
-) -> None:
+def test_select_equals_loops(count, share, threshold, level, seed) -> None:
     generator = torch.Generator().manual_seed(seed)
     relevancy = torch.rand(3, count, generator=generator, dtype=torch.float64)
     coded = torch.rand(3, count, generator=generator) < share
@@ -168,6 +166,8 @@ def test_the_largest_part_is_the_one_that_weighs_most() -> None:
     for weight, expected in ((1.0, first), (0.5, ~first)):
         weights = torch.where(first, weight, 1.0)
         assert reshaped(gaussians, mask, weights, Reshaping(largest=True)).equal(expected)
+    gaussians.means[41:] += 40.0 * torch.arange(29)[:, None]  # each of them alone
+    assert reshaped(gaussians, torch.arange(70) < 20, mask.float(), Reshaping(grow=5)).equal(first)
 
 
 def test_ugly_gaussians_are_left_out() -> None:

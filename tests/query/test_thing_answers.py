@@ -6,7 +6,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -137,9 +136,7 @@ def test_the_choice_is_that_of_the_rule(some: tuple[ThingTable, Tensor, int | No
 
 @settings(max_examples=examples(100))
 @given(st.lists(tables(), min_size=2, max_size=6), st.sampled_from([1, 20, 1000]), st.sampled_from([None, 1]))
-def test_many_scenes_are_judged_as_each_alone(
-    some: list[tuple[ThingTable, Tensor, int | None]], at_a_time: int, level: int | None
-) -> None:
+def test_many_scenes_are_judged_as_each_alone(some: list, at_a_time: int, level: int | None) -> None:
     every, fits = [compared(things) for things, _, _ in some], [fits for _, fits, _ in some]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(matching, "FITS_AT_A_TIME", at_a_time)
@@ -190,9 +187,7 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     (LEVELED, [[9, 9], [9, 9]], {"level": 1}, [2]),
     ([[2.0, 0.0], []], [[9, 9], []], {"level": 1}, None),
 ])  # fmt: skip
-def test_the_choice_by_hand(
-    fits: list[list[float]], sizes: list[list[int]], options: dict[str, Any], chosen: list[int] | None
-) -> None:
+def test_the_choice_by_hand(fits, sizes, options, chosen) -> None:
     """Things of each level, whose Gaussians of these numbers lie side by side."""
     owners, levels, first = torch.full((max(map(sum, sizes)), len(fits)), NO_THING), [], 0
     for level, counts in enumerate(sizes):
