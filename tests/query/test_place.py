@@ -164,9 +164,7 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     st.sampled_from([0.0, 1e-300, 1.0, 1e300]),
     st.booleans(),
 )
-def test_quantiles_are_those_of_sorted_values(
-    sizes: list[int], seed: int, scale: float, strays: bool
-) -> None:
+def test_quantiles_are_of_sorted_values(sizes: list[int], seed: int, scale: float, strays: bool) -> None:
     random = np.random.default_rng(seed)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     values = random.standard_normal((starts[-1], 3)) * scale

@@ -45,12 +45,6 @@ def asked(queries: Tensor, **options: Any) -> Question:
     return Question(texts, queries, torch.zeros(4, 2), torch.zeros(0, 2), **options)
 
 
-def literal_select(values, coded, threshold) -> list[bool]:
-    peaks = [max(row[own], default=-np.inf) for row, own in zip(values, coded, strict=True)]
-    level = int(np.argmax(peaks))
-    return literal_above(values[level], coded[level], threshold)
-
-
 def literal_above(values, coded, threshold) -> list[bool]:
     members = [i for i in range(len(values)) if coded[i]]
     low, high = (min(values[members]), max(values[members])) if members else (0, 0)
@@ -58,17 +52,18 @@ def literal_above(values, coded, threshold) -> list[bool]:
     return [bool(own and value > threshold) for value, own in zip(rescaled, coded, strict=True)]
 
 
-def literal_stable_select(values, coded) -> tuple[list[bool], int, float]:
-    """By the threshold at which each level changes least, and the largest mean of those selected."""
+def literal_select(values, coded, threshold: float | None) -> tuple[list[bool], int, float]:
+    """By a threshold, and the largest peak of a level; without, by that at which each level changes least, and the
+    largest mean of those selected."""
     answers = []
     for level, (row, own) in enumerate(zip(values, coded, strict=True)):
         one = torch.from_numpy(row[own])[None]
-        threshold = float(level_thresholds(one, torch.ones_like(one, dtype=torch.bool))[0][0])
-        chosen = literal_above(row, own, threshold)
+        stable = float(level_thresholds(one, torch.ones_like(one, dtype=torch.bool))[0][0])
+        bound = stable if threshold is None else threshold
+        chosen = literal_above(row, own, bound)
         mean = np.mean(row[chosen]) if any(chosen) else -np.inf
-        peak = max(row[own], default=-np.inf)
-        answers.append((chosen, level, threshold, mean, peak))
-    by_mean = any(any(chosen) for chosen, *_ in answers)
+        answers.append((chosen, level, bound, mean, max(row[own], default=-np.inf)))
+    by_mean = threshold is None and any(any(chosen) for chosen, *_ in answers)
     return max(answers, key=lambda answer: answer[3 if by_mean else 4])[:3]  # the first of equals
 
 
@@ -85,10 +80,7 @@ def test_select_equals_loops(count, share, threshold, level, seed) -> None:
     (found,) = select_each(fake_field(relevancy, coded), question)
     rows = slice(None) if level is None else slice(level, level + 1)
     values, own = relevancy.numpy()[rows], coded.numpy()[rows]
-    if threshold is not None:
-        assert found.mask.tolist() == literal_select(values, own, threshold)
-        return
-    mask, number, expected = literal_stable_select(values, own)
+    mask, number, expected = literal_select(values, own, threshold)
     assert (found.mask.tolist(), found.level) == (mask, number + (level or 0))
     assert found.threshold == pytest.approx(expected)
     assert found.relevancy.equal(relevancy[found.level])
@@ -96,12 +88,19 @@ def test_select_equals_loops(count, share, threshold, level, seed) -> None:
     assert found.fit == (pytest.approx(float(mean)) if any(mask) else -torch.inf)
 
 
-def test_of_levels_alike_the_first_answers() -> None:
-    relevancy = torch.tensor([0.3] * 12 + [0.85] * 8).expand(2, 20)
-    for threshold in (0.6, None):
-        found = select_by_relevancy(relevancy, torch.ones(2, 20, dtype=torch.bool), threshold=threshold)
-        assert (found.level, found.fit) == (0, pytest.approx(0.85))
-        assert found.threshold == pytest.approx(threshold or 0.64)
+def test_the_level_by_its_peak_with_a_threshold_and_by_its_mean_without() -> None:
+    relevancy = torch.full((3, 20), 0.3)
+    relevancy[0, :8] = 0.8  # a few higher, most of them lower
+    relevancy[0, 0] = 0.9
+    relevancy[1, :8] = 0.85
+    coded = torch.tensor([True, True, False])[:, None].expand(3, 20)
+    by_peak, by_mean = (select_by_relevancy(relevancy, coded, threshold=each) for each in (0.6, None))
+    assert (by_peak.level, by_peak.threshold, by_mean.level) == (0, 0.6, 1)
+    assert by_peak.fit == pytest.approx((0.9 + 7 * 0.8) / 8)
+    assert (by_mean.fit, by_mean.threshold) == (pytest.approx(0.85), pytest.approx(0.64))
+    assert by_mean.mask.equal(torch.arange(20) < 8)
+    # Levels alike: the first answers.
+    assert select_by_relevancy(relevancy[[1, 1]], coded[:2]).level == 0
 
 
 @pytest.mark.parametrize("threshold", [None, 0.0, 0.6])
