@@ -133,7 +133,8 @@ def test_every_cell_says_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_an_absent_thing_has_no_heat() -> None:
-    (sheet,) = sheets_of(["mug"], [answer(0.7)], [answer(0.7, is_present=False)]).pictures()
+    absent = replace(answer(0.7, is_present=False), heat=torch.full((30, 40), 0.7))
+    (sheet,) = sheets_of(["mug"], [answer(0.7)], [absent]).pictures()
     colored = np.ptp(sheet[: sheet.shape[0] * 2 // 3].astype(int), axis=2) > 60
     half = sheet.shape[1] // 2
     assert colored[:, :half].sum() > 1000
