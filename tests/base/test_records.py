@@ -84,7 +84,7 @@ ONE_OF_EACH = [
 
 def test_a_file_that_vanished_is_named() -> None:
     said = "a.ply: disappeared while being read; restore it and retry"
-    assert str(errors.refused_read("a.ply", FileNotFoundError("a.ply"))) == said
+    assert str(errors.FileFormatError.unreadable("a.ply", FileNotFoundError("a.ply"))) == said
 
 
 def test_each_can_be_sent() -> None:

@@ -16,11 +16,10 @@ from safetensors.torch import save_file
 
 import scoup
 from field.conftest import field_with_things
-from field_files import parts_of, write_parts
+from field_files import parts_of, tensor_checksum, write_parts
 from messages import refuses
 from scoup.base import FileFormatError, OutputExistsError
 from scoup.base.errors import FieldVersionError
-from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
 from scoup.field.field import GeometryMismatchError
 from scoup.field.field_info import FieldInfo
