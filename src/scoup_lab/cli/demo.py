@@ -43,6 +43,10 @@ class Demo:
         """Run, draw, print."""
         import json
 
+        console.say(
+            f"a simulated scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
+            f"{self.width} x {self.height}"
+        )
         from scoup.base import write_text
         from scoup.io import save_png
         from scoup.view import ViewedField, export_page
@@ -50,10 +54,6 @@ class Demo:
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
 
-        console.say(
-            f"a simulated scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
-            f"{self.width} x {self.height}"
-        )
         no_page = _page_problem()
         files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
         size = self.n_gaussians, self.width, self.height, self.views
