@@ -54,7 +54,7 @@ def test_every_kind_of_file(name):
         "f.scoup": "scoup query f.scoup TEXT",
         "scene/point_cloud.ply": "scoup build scene/point_cloud.ply --out point_cloud.scoup (makes views of it first)",
         "scene": "scoup build scene --out scene.scoup",
-        "scene/sparse/0": "",
+        "scene/words.npz": "",
     }.items(),
 )  # fmt: skip
 def test_the_next_command_is_named(path, following):

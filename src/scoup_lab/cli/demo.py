@@ -64,8 +64,11 @@ class Demo:
             write_text(hidden / SCORES, json.dumps(record, indent=2))
             if not no_page:
                 export_page(ViewedField(result.field), hidden / PAGE)  # with the words of its table
+            story = {
+                text: result.field.location(text).describe() for text in ASKED
+            }  # while its table is there
         _say_scores(console, result, record)
-        _say_story(console, result, self.out, no_page)
+        _say_story(console, story, self.out, no_page)
         console.result(record)
 
 
@@ -121,11 +124,11 @@ def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) ->
     )
 
 
-def _say_story(console: Console, result: DemoResult, out: Path, no_page: str) -> None:
-    """Print three answers, where the pictures are, the words that can be asked, and the next step."""
+def _say_story(console: Console, story: dict[str, str], out: Path, no_page: str) -> None:
+    """Print answers, where the pictures are, the words that can be asked, and the next step."""
     console.say("\nthree questions to it:")
-    for text in ASKED:
-        console.say(f"  {text}: {result.field.location(text).describe()}")
+    for text, answer in story.items():
+        console.say(f"  {text}: {answer}")
     page = no_page or f"{out / PAGE} (open it in a browser; it needs no server)"
     console.say(f"\npictures: {out / SHEET}\npage:     {page}")
     console.say(
