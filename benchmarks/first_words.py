@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import select
 import shlex
 import signal
@@ -40,10 +39,11 @@ class FirstWords(Study):
     """Of the scene."""
     repeats: int = 3
     """Of which the median counts."""
+    verbs: tuple[str, ...] = VERBS
+    """Commands without `scoup`."""
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as name:
-            os.chdir(name)
             size = (
                 "--n-gaussians",
                 str(self.n_gaussians),
@@ -54,8 +54,8 @@ class FirstWords(Study):
                 "--height",
                 "120",
             )
-            run_python(SCOUP, "demo", *size, "--out", "demo")
-            for line in VERBS:
+            run_python(SCOUP, "demo", *size, "--out", f"{name}/demo")
+            for line in self.verbs:
                 if (verb := line.split()[0]) not in known:
                     yield verb, sorted(first_word(shlex.split(line), Path(name)) for _ in range(self.repeats))
 
@@ -73,6 +73,8 @@ class FirstWords(Study):
 
 def first_word(arguments: list[str], folder: Path) -> float:
     """Return the seconds from the start of ``scoup ARGUMENTS`` to its first output on a terminal, and end it."""
+    import pty  # not on Windows
+
     ours, theirs = pty.openpty()
     started = time.perf_counter()
     process = subprocess.Popen(
