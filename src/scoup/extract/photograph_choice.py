@@ -69,7 +69,9 @@ class PhotographChoice:
         total = total_wanted(views, len(there))
         if views is not None and views.startswith("+"):
             if is_part:
-                raise InputError("pass the number of all photographs as `views` with `part`, not of more")
+                raise InputError(
+                    "`part` needs a total: pass the number of all photographs as `views`, without '+'"
+                )
             if before is None:
                 raise InputError(f"{folder}: contains no regions to add to; pass `views={views[1:]}`")
             if len(RegionStore.open(folder).views(there)) < len(there):
