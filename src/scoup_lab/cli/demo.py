@@ -23,8 +23,8 @@ class Demo:
     """Make a small scene, build its language field, query every object in it, and score the answers.
 
     Needs no network, no GPU and no data. Regions and embeddings are simulated: it finds the names of
-    OUT/scene/words.txt and knows few other words; the truth comes from the scene's geometry. Afterwards OUT contains the scene as
-    files (try `scoup build OUT/scene`), the field, a contact sheet of queries, and the scores.
+    OUT/scene/words.txt and knows few other words; the truth comes from the scene's geometry. Afterwards OUT contains
+    the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of queries, and the scores.
     """
 
     out: Path = Path("demo")
