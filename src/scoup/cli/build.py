@@ -85,7 +85,7 @@ class Build:
         loaded = self._load(console)
         started = time.perf_counter()
         with reserved_output(out, self.common.overwrite) as work:
-            sums = self._region_sums(loaded, work / "sums")
+            sums = self._region_sums(console, loaded, work / "sums")
             field = self._build(console, loaded, sums)
             field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
@@ -179,7 +179,7 @@ class Build:
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen, settings = Cameras(part.of(views)), self._settings(loaded)
         with part.reserved(folder):
-            sums = self._open_sums(loaded, folder)
+            sums = self._open_sums(console, loaded, folder)
             check_fit = bool(len(chosen)) and not len(sums)
             check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)
             self._report_resumed(console, sums, len(views))
@@ -223,18 +223,22 @@ class Build:
         concepts = None if store is None else (store.texts, store.of(regions.view_names))
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
 
-    def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
+    def _region_sums(self, console: Console, loaded: _Loaded, temporary: Path) -> RegionSums:
         """Return the sums named, or new ones in a temporary folder."""
         from scoup.uplift import RegionSums
 
         if self.region_sums.sums is not None:
             return RegionSums.open(self.region_sums.sums)
-        return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
+        return self._open_sums(console, loaded, self.region_sums.keep_sums or temporary)
 
-    def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
-        from scoup.uplift import open_sums
+    def _open_sums(self, console: Console, loaded: _Loaded, folder: Path) -> RegionSums:
+        from scoup.uplift import cameras_with_regions, near_plane_note, open_sums
 
-        return open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded))
+        views = cameras_with_regions(loaded.cameras, loaded.regions)
+        sums = open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded), views)
+        if note := near_plane_note(sums.raster_preset):
+            console.say(note)
+        return sums
 
     def _settings(self, loaded: _Loaded) -> BuildSettings:
         return replace(self.settings(loaded.raster_preset), check_fit=not self.parts.no_check_fit)

@@ -70,8 +70,9 @@ class SceneOptions:
 
     gaussians: Path | None = None
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
-    raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
-    """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
+    raster_preset: str = "auto"
+    """Rasteriser constants the splat was trained with: inria or gsplat; auto: gsplat for its checkpoints, else inria. A
+    near plane that cuts what the cameras see is replaced, unless it is named (in units of the scene): inria:0.2."""
     features: Path | None = None
     """Folder of region features. Default: SCENE/language_features."""
     images: Path | None = None

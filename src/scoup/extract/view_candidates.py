@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.extract import constants
+from scoup.raster import RasterPreset, raster_preset
 from scoup.scene import Camera, Gaussians
 
 
@@ -29,6 +30,12 @@ class Matter:
     def radius(self) -> float:
         """Half the diagonal of the box."""
         return float((self.high - self.low).norm()) / 2
+
+    @property
+    def preset(self) -> RasterPreset:
+        """Inria's constants, with a nearer plane where theirs, in world units, lies deep in the scene."""
+        usual = raster_preset("inria")
+        return replace(usual, near=min(usual.near, constants.NEAR_PLANE * self.radius))
 
 
 def find_matter(gaussians: Gaussians) -> Tensor:

@@ -9,6 +9,7 @@ from scoup.uplift.field_transfer import transfer
 from scoup.uplift.fit import Verdict, fit_problem, measure_fit
 from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels
 from scoup.uplift.naming import name_field, name_things
+from scoup.uplift.near_plane import near_plane_note, scene_preset
 from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions
@@ -43,9 +44,11 @@ __all__ = [
     "measure_fit",
     "name_field",
     "name_things",
+    "near_plane_note",
     "open_sums",
     "pack",
     "region_sums",
+    "scene_preset",
     "stored_size",
     "transfer",
     "vote",

@@ -49,7 +49,8 @@ class BuildSettings:
     seed: int = 0
     """Seed of the codebook's start; the same seed gives the same file (for adam, with the same number of threads)."""
     raster_preset: str = "inria"
-    """Rasteriser constants the scene was trained with: "inria" or "gsplat"."""
+    """Rasteriser constants the scene was trained with: "inria" or "gsplat". Their near plane is replaced where it cuts
+    what the cameras see, unless it is named, as in "inria:0.2" (``scoup.uplift.near_plane``)."""
     scale: Scale = "auto"
     """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1; auto: the longer
     side has 500 pixels, or the camera's if it is shorter."""
