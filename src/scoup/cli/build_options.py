@@ -13,6 +13,7 @@ from scoup.cli.options import arg
 if TYPE_CHECKING:
     from scoup.field import Field
     from scoup.scene import Cameras, Regions
+    from scoup.uplift import RegionSums
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +122,13 @@ def report_field(
     console: Console,
     field: Field,
     out: Path,
-    sums: Path | None,
+    sums: RegionSums | None,
     device: str,
     seconds: float,
     extraction: dict[str, Any],
 ) -> None:
-    """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
+    """Report what was built; the ``sums`` that are kept, and the extraction if there was one."""
     from scoup.field import part_sizes
-    from scoup.uplift import stored_size
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
@@ -138,6 +138,10 @@ def report_field(
         )
     if strays := field.info.provenance.get("strays"):
         console.say(f"{counted(sum(strays.values()), 'stray')} cut from things")
+    if ":" in field.raster_preset:
+        console.say(
+            f"raster preset {field.raster_preset}: the number is the near plane, in units of the scene"
+        )
     size, sizes, coded = out.stat().st_size, part_sizes(out), int(field.coded().sum())
     console.say(
         f"{out}: {size / 1e6:.1f} MB ({sizes}), "
@@ -145,9 +149,9 @@ def report_field(
     )
     record: dict[str, Any] = {"field": out, **({"extraction": extraction} if extraction else {})}
     if sums is not None:
-        n_views, sums_bytes = stored_size(sums)
-        console.say(f"{sums}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
-        record |= {"sums": sums, "sums_bytes": sums_bytes}
+        n_views, sums_bytes = sums.stored_size()
+        console.say(f"{sums.path}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
+        record |= {"sums": sums.path, "sums_bytes": sums_bytes}
     peak = _peak_gpu_memory(device)
     if peak is not None:
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.extract import constants
-from scoup.raster import RasterPreset, raster_preset
+from scoup.raster import raster_preset
 from scoup.scene import Camera, Gaussians
 
 
@@ -32,10 +32,10 @@ class Matter:
         return float((self.high - self.low).norm()) / 2
 
     @property
-    def preset(self) -> RasterPreset:
+    def preset(self) -> str:
         """Inria's constants, with a nearer plane where theirs, in world units, lies deep in the scene."""
-        usual = raster_preset("inria")
-        return replace(usual, near=min(usual.near, constants.NEAR_PLANE * self.radius))
+        near = constants.NEAR_PLANE * self.radius
+        return f"inria:{near:g}" if near < raster_preset("inria").near else "inria"
 
 
 def find_matter(gaussians: Gaussians) -> Tensor:

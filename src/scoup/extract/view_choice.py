@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 
 from scoup.extract import constants
 from scoup.extract.view_candidates import Matter
-from scoup.raster import PreparedGaussians, RasterPreset, project, render_channels
+from scoup.raster import PreparedGaussians, project, render_channels
 from scoup.scene import Camera, Gaussians, rotation_matrices
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
@@ -77,7 +77,7 @@ class ViewScorer:
     sectors: Tensor  # [B, 3] float32 unit vectors, middles of the sectors of directions
     covariances: Tensor  # [6, N] float32: xx, yy, zz, xy, xz, yz
     radius: float  # of the scene
-    preset: RasterPreset
+    preset: str  # rasteriser constants
 
     @classmethod
     def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:

@@ -38,7 +38,6 @@ __all__ = [
     "CombinedLabels",
     "PreparedGaussians",
     "Projection",
-    "RasterPreset",
     "ViewSums",
     "combine",
     "cosines_from_codes",

@@ -69,6 +69,7 @@ class Fit:
     coverage: Array  # [V] share of the pixels with an alpha above one half
     similarity: Array  # [V, V] correlation of each render with each photograph, -1..1; NaN if not comparable
     matches: str = ""  # the change of splat or cameras with which the renders are clearly more similar
+    raster_preset: str = "inria"  # of the renders
 
     @property
     def blind(self) -> NDArray[np.bool_]:
@@ -126,14 +127,20 @@ class Fit:
         is_wrong = np.median(values) < LIKE or len(self.mistaken) > few or self.matches
         return Verdict.HOPELESS if is_wrong and len(values) >= ENOUGH else Verdict.DOUBTFUL
 
+    @property
+    def is_hopeless(self) -> bool:
+        return self.verdict is Verdict.HOPELESS
+
     def describe(self) -> dict[str, Any]:
         """Return verdict, number of views tried, and medians of the measurements as JSON values."""
         compared = self.compared.any()
+        preset = {"raster_preset": self.raster_preset} if ":" in self.raster_preset else {}
         return {
             "verdict": self.verdict.value,
             "views_tried": len(self.names),
             "coverage": round(float(np.median(self.coverage)), 3) if self.names else None,
             "similarity": round(float(np.median(self.own[self.compared])), 3) if compared else None,
+            **preset,
         }
 
     def reason(self) -> str:
@@ -163,6 +170,22 @@ class Fit:
         names = [_SAME_NAMES] if self.mistaken else []
         return "; ".join([*names, _SAME_SCENE, *([_FOCAL] if self.unlike or self.matches else [])])
 
+    def problem(self, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
+        """Return the problem with the cameras, or that it was not judged, with remedies; "" for a good fit.
+
+        ``splat`` is the file of the Gaussians, for messages.
+        """
+        where = "the splat " if splat is None else f"{splat}: "
+        verdicts = {Verdict.HOPELESS: "does not fit", Verdict.DOUBTFUL: "may not fit"}
+        if said := verdicts.get(self.verdict):
+            return f"{where}{said} the cameras: {self.reason()}; {self.remedies()}"
+        if self.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
+            return (
+                f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
+                "(unreadable, or without detail); check the photographs"
+            )
+        return ""
+
 
 def check_fit(
     gaussians: Gaussians,
@@ -177,25 +200,11 @@ def check_fit(
     ``splat`` is the file of the Gaussians, for messages.
     """
     fit = measure_fit(gaussians, cameras, raster_preset, backend)
-    problem = fit_problem(fit, cameras, splat)
-    if fit.verdict is Verdict.HOPELESS:
+    problem = fit.problem(cameras, splat)
+    if fit.is_hopeless:
         raise InputError(f"{problem}; {OVERRIDE}")
     if problem:
         warnings.warn(problem, ScoupWarning, stacklevel=3)
-
-
-def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
-    """Return the problem with a fit of cameras, or that it was not judged, with remedies; "" for a good fit."""
-    where = "the splat " if splat is None else f"{splat}: "
-    verdicts = {Verdict.HOPELESS: "does not fit the cameras: ", Verdict.DOUBTFUL: "may not fit the cameras: "}
-    if said := verdicts.get(fit.verdict):
-        return f"{where}{said}{fit.reason()}; {fit.remedies()}"
-    if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
-        return (
-            f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
-            "(unreadable, or without detail); check the photographs"
-        )
-    return ""
 
 
 def measure_fit(
@@ -215,7 +224,7 @@ def measure_fit(
         return (alphas > 0.5).mean((1, 2)), similarities(images, alphas, photographs)
 
     coverage, similarity = compared(gaussians, views)
-    fit = Fit(tuple(camera.name for camera in views), coverage, similarity)
+    fit = Fit(tuple(camera.name for camera in views), coverage, similarity, raster_preset=raster_preset)
     if not fit.compared.any() or np.median(fit.own[fit.compared]) >= SURE:
         return fit
     gains = {

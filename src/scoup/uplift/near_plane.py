@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from torch import Tensor
 
 from scoup import raster
 from scoup.base import ScoupWarning
-from scoup.raster import RasterPreset, raster_preset
+from scoup.raster import raster_preset
 from scoup.scene import Camera, Gaussians
 from scoup.uplift.similarity import (
     Array,
@@ -28,9 +27,7 @@ from scoup.uplift.similarity import (
     small_views,
 )
 
-SHARE = (
-    0.02  # of the median depth that cameras see: the most that a near plane may be where the preset's cuts
-)
+SHARE = 0.02  # of the median depth that cameras see: the most that a plane in place of the preset's may be
 CUTS = 0.002  # share of a view's pixels that shows what a near plane cuts, from which it cuts
 WORSE = 0.02  # by which the correlation of render and photograph may fall with a nearer plane
 MOST_CUT = 0.05  # mean share of the views; more than floaters fill, so that a plane that cuts it is wrong
@@ -46,47 +43,41 @@ def scene_preset(
     Warns:
         ScoupWarning: the near plane cuts what cameras see, and no photograph tells whether it belongs to the scene.
     """
-    constants, views = raster_preset(preset), sample_views(cameras)
+    usual, views = raster_preset(preset).near, sample_views(cameras)
     if ":" in preset or not views or not len(gaussians):
         return preset
     depth = _median_depth(gaussians, views)
-    if not 0 < SHARE * depth < constants.near:
+    if not 0 < SHARE * depth < usual:
         return preset
     # Halves of the preset's: later photographs of the scene, which change the median, do not change the plane.
-    nearer = constants.near / 2.0 ** math.ceil(math.log2(constants.near / (SHARE * depth)))
-    if not any(bool(_between(gaussians, view, nearer, constants.near).any()) for view in views):
+    nearer = usual / 2.0 ** math.ceil(math.log2(usual / (SHARE * depth)))
+    lower = f"{preset}:{nearer:g}"
+    if not any(bool(_between(gaussians, view, nearer, usual).any()) for view in views):
         return preset
     small = small_views(views)
-    shares = _shares_cut(gaussians, small, replace(constants, near=nearer), constants.near, backend)
+    shares = _shares_cut(gaussians, small, lower, usual, backend)
     cut = shares >= CUTS
     if not cut.any():
         return preset
     photographs = load_photographs(small)
     before, after = (
         np.diagonal(similarities(*render_small(gaussians, small, name, backend), photographs))[cut]
-        for name in (preset, f"{preset}:{nearer:g}")
+        for name in (preset, lower)
     )
     judged = ~np.isnan(after)
     if judged.any():
         gains = (after - np.nan_to_num(before))[judged]
-        return preset if np.median(gains) < -WORSE else f"{preset}:{nearer:g}"
+        return preset if np.median(gains) < -WORSE else lower
     if shares.mean() >= MOST_CUT:
-        return f"{preset}:{nearer:g}"
+        return lower
     warnings.warn(
-        f"the near plane ({constants.near:g} units of the scene) cuts up to {shares.max():.1%} of what a camera sees, "
-        f"and no photograph tells whether that belongs to the scene; if it does, pass {preset}:{nearer:g} as "
+        f"the near plane ({usual:g} units of the scene) cuts up to {shares.max():.1%} of what a camera sees, "
+        f"and no photograph tells whether that belongs to the scene; if it does, pass {lower} as "
         "`raster_preset`",
         ScoupWarning,
         stacklevel=3,
     )
     return preset
-
-
-def near_plane_note(preset: str) -> str:
-    """Return a sentence about the near plane that a scene has in place of its preset's; "" where it has the same."""
-    name, colon, near = preset.partition(":")
-    usual = raster_preset(name).near
-    return f"near plane {near}, for {usual:g} of {name} would cut what cameras see" if colon else ""
 
 
 def _median_depth(gaussians: Gaussians, views: Sequence[Camera]) -> float:
@@ -106,7 +97,7 @@ def _between(gaussians: Gaussians, view: Camera, low: float, high: float) -> Ten
 
 
 def _shares_cut(
-    gaussians: Gaussians, views: Sequence[Camera], preset: RasterPreset, plane: float, backend: str | None
+    gaussians: Gaussians, views: Sequence[Camera], preset: str, plane: float, backend: str | None
 ) -> Array:
     """Return [V] the share of each render that Gaussians before a plane are."""
     prepared = raster.prepare_gaussians(gaussians, backend)

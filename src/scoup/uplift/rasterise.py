@@ -27,7 +27,6 @@ from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import constants
 from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.settings import BuildSettings, Scale, build_settings
-from scoup.uplift.storage.array_file import has_region_sums
 from scoup.uplift.stored_sums import RegionSums
 
 STAGE = "region sums"
@@ -104,7 +103,7 @@ def open_sums(
 
     Raises an InputError for a folder of another scene.
     """
-    if path is None or not has_region_sums(path):
+    if path is None or not RegionSums.are_in(path):
         preset = scene_preset(gaussians, cameras, settings.raster_preset, settings.backend)
         return RegionSums.empty(gaussians, regions.levels, preset, path, settings.scale)
     sums = RegionSums.open(path, writable=True)

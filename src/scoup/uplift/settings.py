@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
+from scoup import raster
 from scoup.base import InputError, check_arguments, looked_up
 
 Scale: TypeAlias = float | Literal["auto"]
@@ -82,6 +83,7 @@ class BuildSettings:
             )
         if self.rounds < 1:
             raise InputError(f"the vote needs at least one round, got {self.rounds}")
+        raster.raster_preset(self.raster_preset)
         check_scale(self.scale)
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
