@@ -100,18 +100,10 @@ FOREIGN = re.compile(
     r"\x1b|can still be loaded|weights_only|Weights only|from_pretrained|Traceback|while online"
 )
 # Of hf download, ray start, pip, xcode-select, LangSplat's training and our benchmarks, which messages name.
-OF_OTHERS = set(
-    [
-        "--local-dir",
-        "--head",
-        "--force-reinstall",
-        "--no-deps",
-        "--no-cache-dir",
-        "--install",
-        "--include_feature",
-        "--rows",
-    ]
-)
+OF_OTHERS = {
+    *("--local-dir", "--head", "--force-reinstall", "--no-deps", "--no-cache-dir", "--install"),
+    *("--include_feature", "--rows"),
+}
 
 
 def arguments() -> set[str]:
