@@ -73,7 +73,7 @@ def build(
     with temporary_folder() as folder:
         views = Cameras(cameras_with_regions(cameras, regions))
         if sums is None:
-            preset = scene_preset(gaussians, views, settings.raster_preset, settings.backend)
+            preset = scene_preset(gaussians, list(views), settings.raster_preset, settings.backend)
             sums = RegionSums.empty(gaussians, regions.levels, preset, folder / "sums", settings.scale)
         check_sums(sums, gaussians, regions, settings)
         regions = regions.select(views.names)
