@@ -210,7 +210,8 @@ def points_as_gaussians(positions: NDArray[np.float64]) -> Gaussians:
     if len(positions) < 4:
         raise InputError(f"COLMAP's model has {len(positions)} points, too few to choose photographs by")
     away = torch.from_numpy(nearest_points(positions, 3)[1]).mean(1).float() / 2
-    scales = away.clamp(min=1e-9, max=float(away.quantile(0.95)))[:, None].expand(-1, 3)
+    most = float(away.quantile(0.95))
+    scales = away.clamp(min=1e-6 * most, max=most)[:, None].expand(-1, 3)
     count = len(positions)
     quats = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
     means = torch.from_numpy(positions).float()
