@@ -180,6 +180,13 @@ def test_angle_of_view_and_frame_intrinsics(tmp_path: Path) -> None:
 def test_lenses_of_transforms(tmp_path: Path) -> None:
     straight = {"is_fisheye": False, "latlong": None, "ftheta_p0": 0.0, "k3": 0.0, "camera_model": "pinhole"}
     assert not read_transforms(transforms(tmp_path, **straight))[0].distortion
+    for words in (
+        {"camera_name": "panorama_03"},
+        {"panorama_name": "room"},
+        {"lens_model": "fisheye, undistorted"},
+    ):
+        for model in ({"camera_model": "PINHOLE", "camera_type": "omni"}, {"fisheye_crop_radius": 9}):
+            assert len(read_transforms(transforms(tmp_path, **words, frame=model))) == 1
     path = transforms(tmp_path, is_fisheye=True, frame={"is_fisheye": False, "file_path": "fisheye/a.png"})
     assert not read_transforms(path)[0].distortion
     path = transforms(tmp_path, frame={"distortion_params": [0.1, 0.2, 0, 0, 0.3, 0.4]})

@@ -90,6 +90,61 @@ def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
         assert load_cameras(tmp_path, missing_images="keep").names == ("Küche.png",)
 
 
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("cameras.txt", "# ", " \t# "), ("images.txt", "\n1 ", "\n1.0 "), ("cameras.txt", " 32 24 ", " 32.0 24. "),
+    ("images.txt", "\n\n", "\n 1.5 2.5 -1.0\n"), ("images.txt", ".png\n\n", "\n"),
+    ("images.txt", ".png\n\n", "\n1 2 3 4 5 6\n"),
+])  # fmt: skip
+def test_text_models_of_other_programs(tmp_path: Path, file: str, old: str, new: str) -> None:
+    cameras = Cameras(
+        replace(camera, name=f"{number:06}.png") for number, camera in enumerate(some_cameras(4))
+    )
+    write_colmap_text(cameras, tmp_path)
+    text = (tmp_path / file).read_text()
+    (tmp_path / file).write_text(text.replace(old, new))
+    found = load_cameras(tmp_path, missing_images="keep")
+    for one, other in zip(found, cameras, strict=True):
+        assert one.name in (other.name, other.stem)
+        assert torch.equal(one.K, other.K)
+        torch.testing.assert_close(one.viewmat, other.viewmat)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_largest(tmp_path: Path, binary: bool) -> None:
+    for number, count in enumerate((1, 3, 2)):
+        (write_colmap if binary else write_colmap_text)(some_cameras(count), tmp_path / f"sparse/{number}")
+    with warns(ScoupWarning):
+        assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+    assert len(load_cameras(tmp_path / "sparse/2", missing_images="keep")) == 2
+
+
+@pytest.mark.parametrize("name", ["colmap", "sparse", "0", "colmap/colmap"])
+def test_scenes_with_names_of_parts(tmp_path: Path, name: str) -> None:
+    write_colmap(some_cameras(2), tmp_path / name / "sparse/0")
+    save_images(some_cameras(2), tmp_path / name / "images")
+    for path in (tmp_path / name, tmp_path / name / "sparse/0"):
+        assert [item.path.parent for item in find_photographs(path)] == [tmp_path / name / "images"] * 2
+
+
+@pytest.mark.parametrize("format", ["colmap", "transforms"])
+@pytest.mark.parametrize("ending", [".HEIC", ".jxl", ".NEF"])
+def test_converted_photographs(tmp_path: Path, format: str, ending: str) -> None:
+    cameras = Cameras(replace(camera, name=f"{camera.stem}{ending}") for camera in some_cameras(2))
+    save_images(some_cameras(2), tmp_path / "images")
+    (tmp_path / "images" / cameras[0].name).write_bytes(b"original")
+    if format == "colmap":
+        write_colmap(cameras, tmp_path / "sparse/0")
+    else:
+        write_transforms(cameras, tmp_path / "transforms.json")
+    assert [item.path.suffix for item in find_photographs(tmp_path)] == [".png"] * 2
+    for photograph in tmp_path.glob("images/*.png"):
+        photograph.rename(photograph.with_suffix(ending)).write_bytes(b"original")
+    with warns(ScoupWarning):
+        load_cameras(tmp_path)
+    with refuses(MissingFileError):
+        find_photographs(tmp_path / "images")
+
+
 def test_one_line_per_image(tmp_path: Path) -> None:
     cameras = some_cameras(4)
     write_colmap_text(cameras, tmp_path)

@@ -13,6 +13,7 @@ import numpy as np
 from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
+from scoup.io.cameras.colmap import count_images
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
@@ -169,10 +170,10 @@ def _posed_cameras(
     """Return the cameras of a scene in the frame of its splat."""
     source = find_cameras(path)
     if source.others:
-        others = ", ".join(str(other) for other in source.others)
+        others = ", ".join(f"{other} ({count_images(other):,})" for other in source.others)
         warnings.warn(
-            f"{source.path}: used, and {counted(len(source.others), 'other COLMAP model')} not; to use another, pass "
-            f"its folder ({others})",
+            f"{source.path}: used, with {counted(count_images(source.path), 'image')}, and not {others}; to use "
+            "another COLMAP model, pass its folder",
             ScoupWarning,
             stacklevel=2,
         )
