@@ -29,6 +29,7 @@ RECORDS: dict[str, dict[str, object]] = {
     "a.splat": SPLAT,
     "scene": {"kind": "scene", "cameras": 4, "with_image": 4, "views_with_regions": 4, "sizes": ["40 x 30"],
               "regions": {"s": 24, "m": 24, "l": 24}, "splat": "scene/point_cloud.ply"},
+    "cameras_alone": {"not_found": ["trained splat (contains no trained splat)", "region features"]},
     "transforms.json": CAMERAS, "cameras.json": CAMERAS,
     "scene/sparse/0/cameras.bin": CAMERAS, "scene/sparse/0": CAMERAS,
     "scene/words.npz": {"kind": "word table", "dim": 16}, "words.json": {"names": ["kettle", "mug"]},
@@ -40,6 +41,7 @@ RECORDS: dict[str, dict[str, object]] = {
 def test_every_kind_of_file(name):
     save_gaussians(load_gaussians("scene/point_cloud.ply"), "a.splat")
     write_transforms(load_cameras("scene"), "transforms.json")
+    shutil.copytree("scene/sparse", "cameras_alone/sparse")
     write_inria_cameras(load_cameras("scene"), "cameras.json")
     Path("words.json").write_text(json.dumps({"kettle": [1.0, 2.0], "mug": [0.5, 1.0]}))
     record = run_json("info", name)

@@ -259,6 +259,17 @@ def test_latest_point_cloud(tmp_path: Path) -> None:
     (tmp_path / "point_cloud" / "iteration_best").mkdir()
     for place in (tmp_path, tmp_path / "point_cloud"):
         assert latest_point_cloud(place).parent.name == "iteration_30000"
+    splat = tmp_path / "point_cloud" / "final" / "point_cloud.ply"  # of MonoGS
+    splat.parent.mkdir()
+    splat.write_text("x")
+    assert latest_point_cloud(tmp_path) == splat
+    other = tmp_path / "other" / "point_cloud" / "best" / "splat.ply"
+    other.parent.mkdir(parents=True)
+    other.write_text("x")
+    assert latest_point_cloud(tmp_path / "other") == other
+    other.with_name("second.ply").write_text("x")
+    with refuses(MissingFileError):
+        latest_point_cloud(tmp_path / "other")
 
 
 # ---- the frame that nerfstudio trains in

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, listed, write_text
+from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, foreign_kind, listed, write_text
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
 from scoup.io.images import image_size
@@ -55,6 +55,8 @@ def read_transforms(
     """
     path = Path(path)
     content = read_json(path, CAMERAS_JSON, _REMEDY)
+    if "frames" not in content.object() and (kind := foreign_kind(content.object())):
+        raise FileFormatError(path, *kind)
     frames = content.get("frames").items()
     paths = [portable_name(frame.get("file_path").text()) for frame in frames]
     warn_of_outside(path, path.parent, paths)
