@@ -205,10 +205,6 @@ def test_masks_of_photographs(tmp_path: Path) -> None:
     for name in ("masks/none.png", "../masks/view_00.png"):
         with warns(ScoupWarning):
             assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
-    for name in ("a.png", "dynamic_mask_a.png"):  # as instant-ngp names them
-        save_images(some_cameras(1), tmp_path / "images")
-        (tmp_path / "images" / "view_00.png").rename(tmp_path / "images" / name)
-    assert read_transforms(transforms(tmp_path))[0].mask_path == tmp_path / "images" / "dynamic_mask_a.png"
 
 
 def test_image_gives_size_and_extension(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ UNREAD = (
     ".arw", ".raf", ".orf", ".rw2",
 )  # fmt: skip
 """Endings of photographs that are only read after conversion."""
+_MASK = re.compile(r"[._-]mask$", re.I)
 DYNAMIC_MASK = "dynamic_mask_"
 """Begins the names of masks of instant-ngp, beside their photographs, which are 0 where these count."""
 
@@ -59,7 +60,9 @@ class ImageFolder:
                 self._exact[posixpath.join(within, file)] = path
                 key = within.casefold()
                 self._stems[key, stem.casefold()].append(path)
-                if not _split(stem)[1]:  # x.jpg.png is most often the mask of x.jpg
+                if not _split(stem)[1] and not _MASK.search(
+                    stem
+                ):  # x.jpg.png is most often the mask of x.jpg
                     self._starts[key, file.split(".", 1)[0].casefold()].append(path)
         self._folders = sorted({within for within, _ in self._stems})
         # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
@@ -89,6 +92,7 @@ class ImageFolder:
             name: self._exact[name]
             for name in sorted(self._exact)
             if not (posixpath.basename(name).startswith((".", DYNAMIC_MASK)) or _split(_split(name)[0])[1])
+            and not _MASK.search(_split(name)[0])
             and not _ASIDE.search(posixpath.dirname(name))
         }
 

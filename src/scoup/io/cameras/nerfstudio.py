@@ -15,7 +15,7 @@ import numpy as np
 
 from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, foreign_kind, listed, write_text
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
-from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
+from scoup.io.image_folder import find_beside, warn_of_outside
 from scoup.io.images import image_size
 from scoup.io.reading import MAX_IMAGE_SIDE, Distorted, make_camera, read_json, sorted_cameras
 from scoup.scene import Camera, Cameras
@@ -72,9 +72,6 @@ def read_transforms(
             if mask.value is not None:
                 camera = replace(camera, mask_path=find_beside(path.parent, portable_name(mask.text())))
                 unmasked += [camera.name] if camera.mask_path is None else []
-            elif (image := camera.image_path) is not None:
-                dynamic = image.with_name(f"{DYNAMIC_MASK}{image.stem}.png")
-                camera = replace(camera, mask_path=dynamic if dynamic.is_file() else None)
             cameras.append(camera)
     if unmasked:
         what = f"{path}: {counted(len(unmasked), 'mask')} (mask_path) not found ({listed(unmasked)})"
