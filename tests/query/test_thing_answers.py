@@ -81,8 +81,10 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     rival,
                 )
             )
-    found = []
+    found, large = [], []
     for each, sets in enumerate(alone):
+        mine = [thing for thing in usable if int(things.levels[thing]) == each]
+        owned = len(set().union(*(gaussians[thing] for thing in mine)))
         for score, chosen, rival in sets if level in (None, each) else ():
             whole, added = set().union(*(gaussians[thing] for thing in chosen)), 0.0
             for other, others in enumerate(alone):
@@ -92,8 +94,9 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > constants.SAME_GAUSSIANS * len(whole | them):
                         best = max(best, their_score + constants.MOST_GAP)
                 added += best
-            found.append((score + constants.AGREEMENT * added, chosen, rival))
-    return found
+            is_large = len(whole) > constants.MOST_COVERED * owned and [fits[one] for one in chosen] != [top]
+            (large if is_large else found).append((score + constants.AGREEMENT * added, chosen, rival))
+    return found or large
 
 
 def check_choice(things: ThingTable, fits: Tensor, level: int | None) -> None:
@@ -173,8 +176,8 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     ([[3.0, 0.0, 3.1, 0.2]], [NINE], {}, [2, 0]),
     ([[4.0]], [[9]], {}, [0]),
     # At most eight: of nine there is no gap behind any set, and the first comes first.
-    ([[3.0] * 8 + [0.0]], [[9] * 9], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
-    ([[3.0] * 9 + [0.0]], [[9] * 10], {}, [0]),
+    ([[3.0] * 8 + [0.0]], [[9] * 8 + [90]], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
+    ([[3.0] * 9 + [0.0]], [[9] * 9 + [90]], {}, [0]),
     # A gap is as good as a larger one, if both are large.
     ([[9.0, 5.9, 0.0]], [[9] * 3], {}, [0]),
     ([[9.0, 5.9, -9.0]], [[9] * 3], {}, [0]),
@@ -195,6 +198,11 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     (THREE, [TENS, [10, 10, 20], [10, 10, 20]], {}, [5]),
     (THREE, [TENS, [10, 10, 20], [15, 5, 20]], {}, [0]),  # half of them is not enough
     (THREE, [TENS, [10, 10, 20], [14, 6, 20]], {}, [5]),
+    # What has most of its level's Gaussians answers only if it fits best, or if nothing else may.
+    ([[3.0, 1.0, 0.5, 0.4], [2.9, 0.0]], [NINE, [36, 2]], {}, [0]),
+    ([[3.0, 1.0, 0.5, 0.4], [3.1, 0.0]], [NINE, [36, 2]], {}, [4]),
+    ([[3.0, 1.0, 0.5, 0.4], [2.9]], [NINE, [36]], {"level": 1}, [4]),
+    ([[3.0, 2.9, 2.8, 0.0]], [NINE], {}, [0]),  # of three alike that fill the level, the first
     # Levels that may not answer support those that may.
     ([SUPPORTED, [1.5, 0.0]], [TENS, [20, 20]], {"level": 0}, [0, 1]),
     ([SUPPORTED, [0.0, 1.5]], [TENS, [20, 20]], {"level": 0}, [0]),
