@@ -94,7 +94,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > constants.SAME_GAUSSIANS * len(whole | them):
                         best = max(best, their_score + constants.MOST_GAP)
                 added += best
-            is_large = len(whole) > constants.MOST_COVERED * owned and [fits[one] for one in chosen] != [top]
+            is_large = len(whole) > constants.MOST_COVERED * owned and fits[chosen[0]] != top
             (large if is_large else found).append((score + constants.AGREEMENT * added, chosen, rival))
     return found or large
 
@@ -176,8 +176,8 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     ([[3.0, 0.0, 3.1, 0.2]], [NINE], {}, [2, 0]),
     ([[4.0]], [[9]], {}, [0]),
     # At most eight: of nine there is no gap behind any set, and the first comes first.
-    ([[3.0] * 8 + [0.0]], [[9] * 8 + [90]], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
-    ([[3.0] * 9 + [0.0]], [[9] * 9 + [90]], {}, [0]),
+    ([[3.0] * 8 + [0.0]], [[9] * 9], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
+    ([[3.0] * 9 + [0.0]], [[9] * 10], {}, [0]),
     # A gap is as good as a larger one, if both are large.
     ([[9.0, 5.9, 0.0]], [[9] * 3], {}, [0]),
     ([[9.0, 5.9, -9.0]], [[9] * 3], {}, [0]),
@@ -198,11 +198,12 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     (THREE, [TENS, [10, 10, 20], [10, 10, 20]], {}, [5]),
     (THREE, [TENS, [10, 10, 20], [15, 5, 20]], {}, [0]),  # half of them is not enough
     (THREE, [TENS, [10, 10, 20], [14, 6, 20]], {}, [5]),
-    # What has most of its level's Gaussians answers only if it fits best, or if nothing else may.
+    # What has most of its level's Gaussians answers only with what fits best, or if nothing else may.
     ([[3.0, 1.0, 0.5, 0.4], [2.9, 0.0]], [NINE, [36, 2]], {}, [0]),
     ([[3.0, 1.0, 0.5, 0.4], [3.1, 0.0]], [NINE, [36, 2]], {}, [4]),
     ([[3.0, 1.0, 0.5, 0.4], [2.9]], [NINE, [36]], {"level": 1}, [4]),
-    ([[3.0, 2.9, 2.8, 0.0]], [NINE], {}, [0]),  # of three alike that fill the level, the first
+    ([[3.0, 2.9, 2.8, 0.0]], [NINE], {}, [0, 1, 2]),
+    ([[3.0, 1.0, 0.5, 0.4], [2.9, 2.9, 0.0]], [NINE, [18, 18, 2]], {}, [0]),
     # Levels that may not answer support those that may.
     ([SUPPORTED, [1.5, 0.0]], [TENS, [20, 20]], {"level": 0}, [0, 1]),
     ([SUPPORTED, [0.0, 1.5]], [TENS, [20, 20]], {"level": 0}, [0]),

@@ -8,8 +8,8 @@ Such a set is judged by four things:
 * things elsewhere that fit better than its mean count against it; parts of the set and wholes around it do not;
 * sets of other levels with the same Gaussians count for it: what several levels found is more often what people name.
 
-A set with most of its level's Gaussians has hardly a rival, so it answers only where nothing else may, or as the one
-thing that fits best of all: a scene may be one object. Ours; measured in docs/answers.md.
+A set with most of its level's Gaussians has hardly a rival, so it answers only if one of its things fits best of all,
+for a scene may be one object, or where nothing else may. Ours; measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class _Sets:
             shared,
             torch.where(rival_fits > -torch.inf, rivals, -1),
             torch.where(is_set, scores, -torch.inf),
-            (sizes <= constants.MOST_COVERED * owned) | (rank[:-1] == 0) & (ordered[..., :1] == top),
+            (sizes <= constants.MOST_COVERED * owned) | (ordered[..., :1] == top),
         )
 
     def support(self, other: _Sets) -> Tensor:
