@@ -24,7 +24,7 @@ from benchmarks.real_scenes import ABSENT, FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS
 from scoup.field import NO_THING, ThingTable
 from scoup.models import CANONICAL_PHRASES
-from scoup.query import OrientedBox, ThingIndex, things_of_table
+from scoup.query import OrientedBox, ThingIndex
 from scoup.query import Thing as ThingOfField
 from scoup.query.thing_judge import shares_of
 from scoup_lab.synthetic.art.things import Thing
@@ -122,7 +122,9 @@ class World:
             assert table is not None
             assert index is not None
             boxes = _boxes((self.meanings[layout].get(each.name), each) for each in art.things())
-            scans.append(TrueScan(layout, table, index, things_of_table(field, range(len(table))), boxes))
+            scans.append(
+                TrueScan(layout, table, index, ThingOfField.of_table(field, range(len(table))), boxes)
+            )
         return scans
 
 

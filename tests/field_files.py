@@ -45,14 +45,8 @@ def small_field() -> LanguageField:
     weights = torch.tensor([0.75, 0.25], dtype=torch.float16).expand(COUNT, LEVELS, K).clone()
     weights[-1] = 0  # a Gaussian without a code
     codebook = steps(LEVELS, ATOMS, DIM) + 0.5
-    info = FieldInfo(
-        ("s", "m", "l"),
-        "a/model é",
-        gaussians.fingerprint(),
-        COUNT,
-        "inria",
-        {"settings": {"k": K, "share": 0.1}},
-    )
+    made_with = {"settings": {"k": K, "share": 0.1}}
+    info = FieldInfo(("s", "m", "l"), "a/model é", gaussians.fingerprint(), COUNT, "inria", made_with)
     return LanguageField(indices, weights, codebook, info, gaussians, Path("somewhere/splat.ply"), cameras)
 
 

@@ -33,16 +33,9 @@ def captured(
     random = torch.Generator().manual_seed(seed)
     logits = torch.randn(count, layers * size, generator=random) * 3
     codebooks = torch.randn(layers, size, dim, generator=random)
-    parameters = [
-        gaussians.means,
-        gaussians.sh[:, :1],
-        gaussians.sh[:, 1:],
-        gaussians.scales.log(),
-        gaussians.quats * 2,
-        torch.logit(gaussians.opacities)[:, None],
-        logits,
-        codebooks,
-    ]
+    colors, opacities = (gaussians.sh[:, :1], gaussians.sh[:, 1:]), torch.logit(gaussians.opacities)[:, None]
+    shape = gaussians.scales.log(), gaussians.quats * 2
+    parameters = [gaussians.means, *colors, *shape, opacities, logits, codebooks]
     optimizer = {"state": {}, "param_groups": [{"lr": 0.0025, "name": "language_feature", "params": [0]}]}
     entries = (
         gaussians.sh_degree,

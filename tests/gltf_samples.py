@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.fuzzing.containers import GLB
 from tests.io_samples import save_spz
 
 from scoup.io import load_gaussians
@@ -19,6 +20,7 @@ SPLATS = "KHR_gaussian_splatting"
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5126: 4}
+DTYPES = {5121: "u1", 5123: "<u2", 5126: "<f4"}
 
 
 def opened(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -27,14 +29,12 @@ def opened(path: Path) -> tuple[dict[str, Any], bytes]:
     if path.suffix == ".gltf":
         root = json.loads(data)
         return root, base64.b64decode(root["buffers"][0]["uri"].split(",")[1])
-    magic, version, length, size, kind = struct.unpack_from("<IIIII", data)
-    assert (magic, version, length, kind) == (0x46546C67, 2, len(data), 0x4E4F534A)
-    assert size % 4 == 0
-    assert len(data) % 4 == 0
+    magic, version, length, size, kind = struct.unpack_from("<4sIII4s", data)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
     text = data[20 : 20 + size]
-    binary_size, binary_kind = struct.unpack_from("<II", data, 20 + size)
-    assert binary_kind == 0x004E4942
-    assert 28 + size + binary_size == len(data)
+    binary_size, binary_kind = struct.unpack_from("<I4s", data, 20 + size)
+    assert (28 + size + binary_size, binary_kind) == (len(data), b"BIN\0")
+    assert size % 4 == len(data) % 4 == 0
     assert len(text) - len(text.rstrip(b" ")) < 4
     return json.loads(text), data[28 + size :]
 
@@ -46,13 +46,8 @@ def read_in_its_axes(path: Path) -> Gaussians:
 
 def packed(path: Path, root: dict[str, Any], binary: bytes) -> Path:
     """A .glb file; its first buffer is stated as long as ``binary``."""
-    root = {**root, "buffers": [{"byteLength": len(binary)}]}
-    text = json.dumps(root).encode()
-    text += b" " * (-len(text) % 4)
-    body = binary + bytes(-len(binary) % 4)
-    total = 28 + len(text) + len(body)
-    header = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-    path.write_bytes(header + text + struct.pack("<I4s", len(body), b"BIN\0") + body)
+    text = json.dumps({**root, "buffers": [{"byteLength": len(binary)}]}).encode()
+    path.write_bytes(GLB.join(b"", [text, binary]))
     return path
 
 
@@ -60,10 +55,9 @@ def foreign(
     columns: dict[str, np.ndarray], normalised: tuple[str, ...] = (), stride: int = 0
 ) -> tuple[dict[str, Any], bytes]:
     """JSON and buffer of one primitive, by other means than those tested; all rows interleaved by ``stride``."""
-    views, accessors, attributes, parts = [], [], {}, []
+    views, accessors, parts, place = [], [], [], 0
     count = len(next(iter(columns.values())))
     rows = np.zeros((count, stride), np.uint8)
-    place = 0
     for name, values in columns.items():
         column = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1)
         accessor = {"componentType": CODES[values.dtype.str[1:]], "count": count}
@@ -73,44 +67,42 @@ def foreign(
             accessor |= {"bufferView": 0, "byteOffset": place}
             place += column.shape[1]
         else:
-            width = column.shape[1] + -column.shape[1] % 4
-            padded = np.zeros((count, width), np.uint8)
-            padded[:, : column.shape[1]] = column
+            padded = np.pad(column, ((0, 0), (0, -column.shape[1] % 4)))
             accessor["bufferView"] = len(views)
-            views.append({"buffer": 0, "byteOffset": place, "byteLength": padded.size, "byteStride": width})
+            view = {
+                "buffer": 0,
+                "byteOffset": place,
+                "byteLength": padded.size,
+                "byteStride": padded.shape[1],
+            }
+            views.append(view)
             parts.append(padded.tobytes())
             place += padded.size
-        attributes[name] = len(accessors)
         accessors.append(accessor)
     if stride:
         views, parts = [{"buffer": 0, "byteLength": rows.size, "byteStride": stride}], [rows.tobytes()]
-    primitive = {"mode": 0, "attributes": attributes}
+    primitive = {"mode": 0, "attributes": {name: index for index, name in enumerate(columns)}}
     primitive["extensions"] = {SPLATS: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}}
     root = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [SPLATS],
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": accessors,
-        "bufferViews": views,
-    }
+        "asset": {"version": "2.0"}, "extensionsUsed": [SPLATS], "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}], "accessors": accessors, "bufferViews": views,
+    }  # fmt: skip
     return root, b"".join(parts)
 
 
 def columns_of(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    columns = {
+    degrees = range(gaussians.sh_degree + 1)
+    orders = [(degree, order) for degree in degrees for order in range(2 * degree + 1)]
+    return {
         "POSITION": gaussians.means.numpy(),
         f"{SPLATS}:ROTATION": gaussians.quats.numpy()[:, [1, 2, 3, 0]],
         f"{SPLATS}:SCALE": gaussians.scales.numpy(),
         f"{SPLATS}:OPACITY": gaussians.opacities.numpy()[:, None],
+        **{
+            f"{SPLATS}:SH_DEGREE_{degree}_COEF_{order}": gaussians.sh.numpy()[:, index]
+            for index, (degree, order) in enumerate(orders)
+        },
     }
-    index = 0
-    for degree in range(gaussians.sh_degree + 1):
-        for order in range(2 * degree + 1):
-            columns[f"{SPLATS}:SH_DEGREE_{degree}_COEF_{order}"] = gaussians.sh.numpy()[:, index]
-            index += 1
-    return columns
 
 
 def check_rules(path: Path) -> None:
@@ -118,42 +110,37 @@ def check_rules(path: Path) -> None:
     root, binary = opened(path)
     assert root["asset"]["version"] == "2.0"
     used = set(root["extensionsUsed"])
-    assert "extensionsRequired" not in root or set(root["extensionsRequired"]) <= used
+    assert set(root.get("extensionsRequired", ())) <= used
     assert [len(binary)] == [buffer["byteLength"] for buffer in root["buffers"]]
     for view in root["bufferViews"]:
         assert view["byteLength"] >= 1
         assert view["byteOffset"] % 4 == 0
         assert view["byteOffset"] + view["byteLength"] <= len(binary)
-        assert view.get("byteStride", 4) % 4 == 0
-        assert 4 <= view.get("byteStride", 4) <= 252
+        assert view.get("byteStride", 4) in range(4, 253, 4)
         assert ("target" in view) == ("byteStride" in view)
     primitive = root["meshes"][0]["primitives"][0]
     assert primitive["mode"] == 0
     assert set(primitive["extensions"]) <= used
     splats = primitive["extensions"][SPLATS]
-    assert splats["kernel"] == "ellipse"
-    assert splats["colorSpace"] == "srgb_rec709_display"
-    counts = set()
+    assert (splats["kernel"], splats["colorSpace"]) == ("ellipse", "srgb_rec709_display")
     columns = {}
     for name, index in primitive["attributes"].items():
         accessor = root["accessors"][index]
-        view = root["bufferViews"][accessor["bufferView"]]
+        view, count = root["bufferViews"][accessor["bufferView"]], accessor["count"]
         size = SIZES[accessor["componentType"]] * {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
         assert view["target"] == 34962
         assert size <= view["byteStride"]
-        assert view["byteStride"] * (accessor["count"] - 1) + size <= view["byteLength"]
-        counts.add(accessor["count"])
-        start, stride = view["byteOffset"], view["byteStride"]
-        parts = [
-            binary[start + row * stride : start + row * stride + size] for row in range(accessor["count"])
-        ]
-        dtype = {5121: "u1", 5123: "<u2", 5126: "<f4"}[accessor["componentType"]]
-        columns[name] = np.frombuffer(b"".join(parts), dtype).reshape(accessor["count"], -1)
+        assert view["byteStride"] * (count - 1) + size <= view["byteLength"]
+        starts = range(
+            view["byteOffset"], view["byteOffset"] + count * view["byteStride"], view["byteStride"]
+        )
+        rows = b"".join(binary[start : start + size] for start in starts)
+        columns[name] = np.frombuffer(rows, DTYPES[accessor["componentType"]]).reshape(count, -1)
         assert np.isfinite(columns[name]).all()
         if accessor["componentType"] != 5126:
             assert accessor.get("normalized", False) == (name == "COLOR_0")
-    assert len(counts) == 1
-    assert counts.pop() >= 1
+    (count,) = {len(column) for column in columns.values()}
+    assert count >= 1
     position = root["accessors"][primitive["attributes"]["POSITION"]]
     assert position["min"] == columns["POSITION"].min(0).tolist()
     assert position["max"] == columns["POSITION"].max(0).tolist()
@@ -162,13 +149,10 @@ def check_rules(path: Path) -> None:
     assert ((opacities >= 0) & (opacities <= 1)).all()
     norms = np.linalg.norm(columns[f"{SPLATS}:ROTATION"].astype(np.float64), axis=1)
     np.testing.assert_allclose(norms, 1, atol=1e-6)
-    orders = {name for name in columns if "SH_DEGREE" in name}
-    degree = round(len(orders) ** 0.5) - 1
-    assert orders == {
-        f"{SPLATS}:SH_DEGREE_{level}_COEF_{order}"
-        for level in range(degree + 1)
-        for order in range(2 * level + 1)
-    }
+    found = {name for name in columns if "SH_DEGREE" in name}
+    degrees = range(round(len(found) ** 0.5))
+    orders = [(degree, order) for degree in degrees for order in range(2 * degree + 1)]
+    assert found == {f"{SPLATS}:SH_DEGREE_{degree}_COEF_{order}" for degree, order in orders}
 
 
 def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
@@ -195,7 +179,7 @@ def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
     assert (len(offsets), offsets[-1]) == (table["count"] + 1, len(text))
     accessor = root["accessors"][primitive["attributes"]["_FEATURE_ID_0"]]
     assert accessor["type"] == "SCALAR"
-    dtype = {5121: "u1", 5123: "<u2", 5126: "<f4"}[accessor["componentType"]]
+    dtype = DTYPES[accessor["componentType"]]
     column = np.frombuffer(data(accessor["bufferView"]), dtype).reshape(accessor["count"], -1)[:, 0]
     counts = np.frombuffer(data(properties["count"]["values"]), "<u4")
     assert counts.tolist() == [int((column == row).sum()) for row in range(table["count"])]

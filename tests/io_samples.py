@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 
 from scoup.io import RegionManifest, ViewRegions
 from scoup.io.regions.compact import write_view
@@ -29,17 +30,23 @@ from scoup.scene import (
 )
 
 MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
+TURNED = np.array([[0, -2.0, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])
+APPLIED = [[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]  # of ns-process-data
+POINT_HEADER = "\n".join([
+    "ply", "format {encoding} 1.0", "element vertex {count}", *(f"property float {axis}" for axis in "xyz"),
+    *(f"property uchar {color}" for color in ("red", "green", "blue", "alpha")), "property ushort label",
+    "element face 1", "property list uchar int vertex_indices", "end_header", "",
+])  # fmt: skip
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
     quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+    means = torch.randn(count, 3, generator=generator)
+    scales = torch.exp(torch.randn(count, 3, generator=generator) - 3)
+    opacities = torch.rand(count, generator=generator)
     return Gaussians(
-        means=torch.randn(count, 3, generator=generator),
-        quats=quats,
-        scales=torch.exp(torch.randn(count, 3, generator=generator) - 3),
-        opacities=torch.rand(count, generator=generator),
-        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
+        means, quats, scales, opacities, torch.randn(count, (degree + 1) ** 2, 3, generator=generator)
     )
 
 
@@ -97,9 +104,8 @@ def camera_difference(one: Cameras, other: Cameras) -> float:
 def some_regions(cameras: Cameras, dimensions: int = 8, seed: int = 0) -> Regions:
     """Random maps in which every region has a pixel."""
     generator = torch.Generator().manual_seed(seed)
-    maps: dict[str, dict[str, RegionMap]] = {}
+    maps: dict[str, dict[str, RegionMap]] = {camera.name: {} for camera in cameras}
     for camera in cameras:
-        maps[camera.name] = {}
         for count, level in zip((6, 4, 2), LEVELS, strict=True):
             labels = torch.randint(-1, count, (camera.height, camera.width), generator=generator).int()
             labels.view(-1)[:count] = torch.arange(count, dtype=torch.int32)
@@ -160,8 +166,6 @@ def save_compact(folder: Path, cameras: Cameras, bits: int = 32) -> Regions:
 
 def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
     """A PNG of noise for every camera."""
-    from PIL import Image
-
     folder.mkdir(parents=True, exist_ok=True)
     for number, camera in enumerate(cameras):
         shape = (camera.height // divisor, camera.width // divisor, 3)
@@ -196,15 +200,14 @@ def ply_file(path: Path, columns: dict[str, np.ndarray], encoding: str = "binary
 
 def save_compressed_ply(path: Path, count: int = 300, rest: int = 9, seed: int = 0) -> None:
     """Random packed bits in the layout of PlayCanvas, with an ``sh`` element of ``rest`` properties."""
-    generator = np.random.default_rng(seed)
+    generator, chunks = np.random.default_rng(seed), -(-count // 256)
     sides = ["x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b"]
-    ranges = np.stack([np.full((count + 255) // 256, -1.5), np.full((count + 255) // 256, 0.5)])
     chunk = [f"property float {end}_{side}" for side in sides for end in ("min", "max")]
     vertex = [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
     extra = [f"property uchar f_rest_{number}" for number in range(rest)]
-    header = ["ply", "format binary_little_endian 1.0", f"element chunk {ranges.shape[1]}", *chunk]
+    header = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}", *chunk]
     header += [f"element vertex {count}", *vertex, f"element sh {count}", *extra, "end_header", ""]
-    body = np.tile(ranges.T, (1, len(sides))).astype("<f4").tobytes()
+    body = np.tile(np.array([-1.5, 0.5], "<f4"), chunks * len(sides)).tobytes()
     body += generator.integers(0, 2**32, (count, 4), dtype=np.uint32).tobytes()
     body += generator.integers(0, 256, (count, rest), dtype=np.uint8).tobytes()
     path.write_bytes("\n".join(header).encode() + body)
@@ -285,11 +288,16 @@ def text_model(folder: Path, lens: str, images: str = "1 1 0 0 0 0.5 0.25 2 1 a 
     return folder
 
 
+DISTORTED = {  # lenses of COLMAP
+    "radial 1": "1 SIMPLE_RADIAL 40 30 50 20 15 0.1", "radial": "1 RADIAL 40 30 50 20 15 0.1 -0.02",
+    "OpenCV": "1 OPENCV 40 30 50 51 20 15 0.1 -0.02 0.001 0.002",
+}  # fmt: skip
+
+
 def transforms(folder: Path, frame: dict[str, Any] | None = None, **settings: Any) -> Path:
     """A transforms.json of one frame at (1, 2, 3), looking along its -z."""
-    pose = np.eye(4)
-    pose[:3, 3] = 1, 2, 3
-    frames = [{"file_path": "./images/a.png", "transform_matrix": pose.tolist(), **(frame or {})}]
+    pose = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    frames = [{"file_path": "./images/a.png", "transform_matrix": pose, **(frame or {})}]
     content = {"w": 32, "h": 24, "fl_x": 30.0, "frames": frames, **settings}
     content = {key: value for key, value in content.items() if value is not None}
     (folder / "transforms.json").write_text(json.dumps(content))

@@ -51,14 +51,8 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     of_tiles = {"columns": I16, "combinations": I32, "n_columns": I32}
     types = {**of_tiles, **SIZE, "labels": I32, "starts": I64, "room": I64}
     found["columns"] = regions.columns_kernel, types, {"TILE": TILE}, 4
-    entries = {
-        "keys": I32,
-        "weights": I64,
-        "n_entries": I32,
-        "ends": I64,
-        "first_tile": "i32",
-        "before": "i32",
-    }
+    entries = {"keys": I32, "weights": I64, "n_entries": I32, "ends": I64}
+    entries |= {"first_tile": "i32", "before": "i32"}
     constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS}
     types = {**LISTS, **of_tiles, **entries, **SIZE, **BOUNDS, "n_combinations": "i32", "scale": "fp32"}
     found["region sums"] = regions.region_sums_kernel, types, constants, gpu_regions.WARPS

@@ -31,18 +31,8 @@ def threads_of_torch(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-KINDS = (
-    "plain",
-    "behind",
-    "huge",
-    "needle",
-    "opacity 0",
-    "opacity 1",
-    "opacity inf",
-    "nan",
-    "tiny",
-    "zero quat",
-)
+OPACITIES = ("opacity 0", "opacity 1", "opacity inf")
+KINDS = ("plain", "behind", "huge", "needle", *OPACITIES, "nan", "tiny", "zero quat")
 SCALES = {"huge": [50.0, 80.0, 20.0], "needle": [2.0, 1e-5, 1e-5], "tiny": [1e-9] * 3}
 
 

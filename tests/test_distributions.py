@@ -64,13 +64,8 @@ def test_faults_of_a_wheel(tmp_path: Path, changes: dict[str, str | None], expec
 
 
 def test_a_release_is_complete_or_not() -> None:
-    systems = [
-        "manylinux_2_28_x86_64",
-        "manylinux_2_28_aarch64",
-        "macosx_11_0_arm64",
-        "macosx_11_0_x86_64",
-        "win_amd64",
-    ]
+    systems = [f"manylinux_2_28_{machine}" for machine in ("x86_64", "aarch64")]
+    systems += ["macosx_11_0_arm64", "macosx_11_0_x86_64", "win_amd64"]
     names = [f"scoup-1-{python}-{system}.whl" for python in check_distributions.PYTHONS for system in systems]
     names += ["scoup-1-py3-none-any.whl", "scoup-1.tar.gz"]
     assert list(incomplete(names)) == []
@@ -79,15 +74,12 @@ def test_a_release_is_complete_or_not() -> None:
     assert list(incomplete([*names, "scoup-1-cp312-cp312-win32.whl"])) != []
 
 
-@pytest.mark.parametrize(
-    ("tag", "stated", "message"),
-    [
-        ("v0.2.1", "0.2.0", "it should be v0.2.0"),
-        ("0.2.0", "0.2.0", "it should be v0.2.0"),
-        ("v0.1.0", "0.1.0", "put the date there"),
-        ("v0.3.0", "0.3.0", "nothing under a heading '## 0.3.0'"),
-    ],
-)
+@pytest.mark.parametrize(("tag", "stated", "message"), [
+    ("v0.2.1", "0.2.0", "it should be v0.2.0"),
+    ("0.2.0", "0.2.0", "it should be v0.2.0"),
+    ("v0.1.0", "0.1.0", "put the date there"),
+    ("v0.3.0", "0.3.0", "nothing under a heading '## 0.3.0'"),
+])  # fmt: skip
 def test_a_release_is_refused(tag: str, stated: str, message: str) -> None:
     with pytest.raises(release.NotReady, match=message):
         release.check(tag, f'version = "{stated}"\n', CHANGELOG)
@@ -96,8 +88,8 @@ def test_a_release_is_refused(tag: str, stated: str, message: str) -> None:
 def test_a_release_and_its_notes() -> None:
     release.check("v0.2.0", 'version = "0.2.0"\n', CHANGELOG)
     assert release.section(CHANGELOG, "0.2.0") == ("(2027-01-31)", "### Added\n- This.")
-    stated = release.version((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    assert release.section((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), stated)[1]
+    stated = release.version((ROOT / "pyproject.toml").read_text())
+    assert release.section((ROOT / "CHANGELOG.md").read_text(), stated)[1]
 
 
 def built(source: Path, kind: str, out: Path, **variables: str) -> CompletedProcess[str]:

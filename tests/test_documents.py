@@ -95,21 +95,6 @@ def test_every_table_stands_once() -> None:
     assert sorted(named) == sorted(documents.TABLES)
 
 
-def test_what_stands_between_tables_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(documents, "TABLES", {"one": lambda: "| a   |\n| ------ |", "two": lambda: "| b |"})
-    empty = (
-        "<!-- table: one -->\n<!-- end of table -->\nwords\n<!-- table: two -->\nold\n<!-- end of table -->\n"
-    )
-    full = documents.fill_tables(empty)
-    assert full == empty.replace("one -->\n", "one -->\n| a |\n| --- |\n").replace("old", "| b |")
-    assert documents.fill_tables(full) == full
-
-
-def test_hidden_columns_and_rows_are_left_out() -> None:
-    table = "| a | b |\n| --- | ---: |\n| x | 1 |\n| y | 2 |\n\nb\n\n| b | c |\n| --- | --- |\n| z | 3 |"
-    assert documents.shown(table, "b|y") == "| a |\n| --- |\n| x |\n\nb\n\n| c |\n| --- |\n| 3 |"
-
-
 @pytest.mark.parametrize("name", documents.HIDDEN)
 def test_what_is_hidden_is_in_the_table(name: str) -> None:
     cells = {cell.strip() for cell in documents.TABLES[name]().replace("\n", "|").split("|")}

@@ -6,6 +6,7 @@ import ast
 import functools
 import importlib
 import os
+import pkgutil
 import re
 from collections import Counter
 from pathlib import Path
@@ -35,10 +36,8 @@ def floors(package: str = "scoup") -> dict[str, int]:
 
 def doors() -> dict[str, int]:
     """Most names that each room's door may offer, from the table of the document."""
-    table = DOCUMENTS.split("| floor | room of `scoup` |")[1].split("\n\n")[0]
-    return {
-        room: int(count) for room, count in re.findall(r"^\| \d \| `(\w+)/` \| (\d+) \|", table, re.MULTILINE)
-    }
+    found = re.findall(r"^\| \d \| `(\w+)/` \| (\d+) \|", DOCUMENTS, re.MULTILINE)
+    return {room: int(count) for room, count in found}
 
 
 def modules_of(node: ast.AST) -> list[str]:
@@ -214,3 +213,19 @@ def test_verbs_only_call_the_library() -> None:
                 lines[path.name, node.lineno] = (node.end_lineno or 0) - node.body[0].lineno + 1
     assert len(lines) > 12
     assert not {place: count for place, count in lines.items() if count > 40}
+
+
+@pytest.mark.parametrize(
+    "name", [room for room in sorted(floors()) if (PRODUCT / room / "constants.py").exists()]
+)
+def test_what_can_be_left_out_is_in_the_table_alone(name: str) -> None:
+    """A copy would stay as it is when a constant is left out."""
+    room, table = (importlib.import_module(f"scoup.{name}{part}") for part in ("", ".constants"))
+    names = {name for name in vars(table) if name.isupper() and name != "WITHOUT"}
+    assert set(vars(table).get("WITHOUT", {})) < names
+    for name, neutral in vars(table).get("WITHOUT", {}).items():
+        assert getattr(table, name) != neutral
+    for found in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
+        module = importlib.import_module(found.name)
+        copies = [name for name in vars(module).keys() & names if vars(module)[name] is vars(table)[name]]
+        assert module is table or not copies, found.name

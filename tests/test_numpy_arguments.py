@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
-import pytest
 import torch
 
 import scoup
 from scoup.models import CANONICAL_PHRASES
 from support import small_scene, unit
 
-
-@pytest.fixture(scope="module")
-def made():
-    gaussians, cameras, regions = small_scene(count=60, views=2)
-    return gaussians, cameras, regions, scoup.region_sums(gaussians, cameras, regions)
+gaussians, cameras, regions = cast(Any, small_scene(count=60, views=2))
 
 
-def test_a_field_from_arrays_is_the_same_field(made):
-    gaussians, cameras, regions, _ = made
+def test_a_field_from_arrays_is_the_same_field():
     field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=8))
     names = ("means", "quats", "scales", "opacities", "sh")
     arrays = scoup.Gaussians(*(getattr(gaussians, name).double().numpy() for name in names))
@@ -42,18 +38,16 @@ def test_a_field_from_arrays_is_the_same_field(made):
     found = copy.relevancy(cameras[0], queries.numpy(), canonical.numpy())
     assert found.equal(field.relevancy(cameras[0], queries, canonical))
     phrases = {str(name): row for name, row in zip(CANONICAL_PHRASES, canonical.numpy(), strict=True)}
-    mask = field.select(field.with_encoder(phrases).question(queries.numpy())).mask
-    assert mask.equal(field.select(field.with_encoder(phrases).question(queries)).mask)
+    questions = [field.with_encoder(phrases).question(each) for each in (queries.numpy(), queries)]
+    mask, same = (field.select(question).mask for question in questions)
+    assert mask.equal(same)
     assert len(field[mask.numpy()]) == int(mask.sum())
-    seen, same = (
-        field.at(cameras[0]).answer(field.with_encoder(phrases).question(one))
-        for one in (queries.numpy(), queries)
-    )
+    seen, same = (field.at(cameras[0]).answer(question) for question in questions)
     assert all(one.mask.equal(other.mask) for one, other in zip(seen, same, strict=True))
 
 
-def test_codes_from_arrays_are_the_same_codes(made):
-    _, _, regions, sums = made
+def test_codes_from_arrays_are_the_same_codes():
+    sums = scoup.region_sums(gaussians, cameras, regions)
     books = [scoup.fit_codes(regions.embeddings(level)[0], 8) for level in regions.levels]
     arrays = [scoup.fit_codes(regions.embeddings(level)[0].numpy(), 8) for level in regions.levels]
     codebook = torch.stack([book.atoms for book in books])
@@ -66,11 +60,9 @@ def test_codes_from_arrays_are_the_same_codes(made):
     assert found.weights.equal(expected.weights)
 
 
-def test_a_camera_from_arrays_is_the_same_camera(made):
-    camera = made[1][0]
-    again = scoup.Camera("a.png", camera.viewmat.numpy(), camera.K.numpy(), camera.width, camera.height)
-    assert again.viewmat.equal(camera.viewmat)
-    place = np.linalg.inv(camera.viewmat.numpy())
-    assert torch.allclose(
-        scoup.Camera.from_c2w("a.png", place, camera.K.numpy(), 40, 30).viewmat, camera.viewmat
-    )
+def test_a_camera_from_arrays_is_the_same_camera():
+    camera = cameras[0]
+    K, viewmat = camera.K.numpy(), camera.viewmat.numpy()
+    assert scoup.Camera("a.png", viewmat, K, 40, 30).viewmat.equal(camera.viewmat)
+    again = scoup.Camera.from_c2w("a.png", np.linalg.inv(viewmat), K, 40, 30)
+    assert torch.allclose(again.viewmat, camera.viewmat)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
 from children import finished
 
@@ -16,9 +15,6 @@ FOLDER = ROOT / "tools" / "oss_fuzz"
 
 
 def test_the_files_of_the_project() -> None:
-    project = yaml.safe_load((FOLDER / "project.yaml").read_text())
-    assert project["language"] == "python"
-    assert project["fuzzing_engines"] == ["libfuzzer"]
     script = (FOLDER / "build.sh").read_text()
     finished(["bash", "-n", FOLDER / "build.sh"], check=True)
     for name in re.findall(r"tools/\S+\.py", script):

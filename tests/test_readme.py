@@ -52,7 +52,9 @@ def test_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     places = {"SCENE": "scene", "point_cloud.ply": "scene/point_cloud.ply"}
     for words in commands(README):
         if words[0] != "view":
-            of_demo = ["--model", "scene/text.npz"] if words[0] == "build" else []  # its embeddings are simulated
+            of_demo = (
+                ["--model", "scene/text.npz"] if words[0] == "build" else []
+            )  # its embeddings are simulated
             code, _, err = run(*(places.get(word, word) for word in words), *of_demo)
             assert code == 0, (words, err)
     assert {"scene.scoup", "blue.ply"} <= {path.name for path in tmp_path.iterdir()}

@@ -1,7 +1,4 @@
-"""What stands around the code: documents, workflows, containers and the tools of a release name what is there.
-
-`make docs` follows the links of the site from page to page.
-"""
+"""Documents, workflows and containers name what is there; `make docs` follows the links of the site."""
 
 from __future__ import annotations
 
@@ -29,10 +26,6 @@ PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 WORKFLOWS = {
     path.stem: yaml.safe_load(path.read_text()) for path in (ROOT / ".github" / "workflows").glob("*.yml")
 }
-TEXTS = ("CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "docs/versions.md",
-         ".github/pull_request_template.md")  # fmt: skip
-
-
 # Documents.
 
 
@@ -75,7 +68,6 @@ def test_public_names_pages_and_pictures_have_their_places() -> None:
     named = re.findall(r"^::: ([\w.]+)", (DOCS / "api.md").read_text(), re.MULTILINE)
     missing = set(scoup.__all__) - {"__version__"} - {name.rpartition(".")[2] for name in named}
     assert missing == {"ScoupError", "ScoupWarning"}  # with all errors, by their module
-    assert "scoup.base.errors" in named
     nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     made = {"verbs.md", "pages.md", *site_hooks.FROM_ROOT} - {"index.md"}
     assert sorted(re.findall(r": ([\w/]+\.md)$", nav, re.MULTILINE)) == sorted(
@@ -86,34 +78,11 @@ def test_public_names_pages_and_pictures_have_their_places() -> None:
     assert sorted(pictures) == sorted(path.name for path in (DOCS / "images").iterdir())
 
 
-def test_links_out_of_the_documents_lead_to_the_repository() -> None:
-    text = "[a](../examples) [b](../CONTRIBUTING.md#x) [c](benchmarks/query.json) [d](../examples/00_pipeline.py)"
-    assert site_hooks.outside(text, "R") == (
-        "[a](R/tree/main/examples) [b](contributing.md#x) [c](R/blob/main/docs/benchmarks/query.json) "
-        "[d](examples/00_pipeline.md)"
-    )
-    assert site_hooks.in_docs("[a](docs/gpu.md#z) [b](LICENSE)") == "[a](gpu.md#z) [b](../LICENSE)"
-
-
-@pytest.mark.parametrize("name", TEXTS)
-def test_paths_in_texts_exist(name: str) -> None:
-    """Those in backticks, but for names of users' files."""
-    found = re.findall(r"`(\.?[\w-]+(?:/[\w.-]+)+/?|[\w-]+\.(?:md|toml|cff))`", (ROOT / name).read_text())
-    of_users = re.compile(r"NAME|FOLDER|regions\.json|\.venv/")
-    assert [path for path in found if not (ROOT / path).exists() and not of_users.search(path)] == []
-
-
-def test_the_repository_has_one_address_and_the_citation_this_version() -> None:
-    others = [*(ROOT / ".github" / "ISSUE_TEMPLATE").glob("*"), *(ROOT / "notebooks").glob("*.ipynb")]
-    places = [ROOT / "CITATION.cff", *(ROOT / name for name in TEXTS), *(ROOT / "docker").glob("*"), *others]
-    address = r"https://(?:colab\.research\.google\.com/github|github\.com)/([\w-]+)/scoup"
-    assert {owner for path in places for owner in re.findall(address, path.read_text())} == {"scoup"}
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert str(citation["version"]) == VERSION
+def test_citation_and_bundle_are_of_this_version() -> None:
+    assert str(yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"]) == VERSION
     bundle = json.loads((ROOT / "tools" / "mcpb" / "manifest.json").read_text())
     assert bundle["version"] == VERSION
     assert f"scoup[mcp]=={VERSION}" in bundle["server"]["mcp_config"]["args"]
-    assert "not the paper's authors" in citation["authors"][0]["name"]
 
 
 # Workflows, and what they publish.
@@ -141,18 +110,11 @@ def test_versions_of_python_are_tested_and_have_wheels() -> None:
     served = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', PYPROJECT)
     assert WORKFLOWS["tests"]["jobs"]["test"]["strategy"]["matrix"]["python"] == served
     assert f'requires-python = ">={served[0]}"' in PYPROJECT
-    (build,) = re.findall(r"^build = (\[.*?\])", PYPROJECT, re.MULTILINE | re.DOTALL)
-    stable = re.findall(r'^wheel.py-api = "cp3(\d+)"$', PYPROJECT, re.MULTILINE)[0]
-    built = re.findall(r'"cp3(\d+)-\*"', build)
-    assert [f"3.{minor}" for minor in built] == served
+    assert [f"3.{minor}" for minor in re.findall(r'"cp3(\d+)-\*"', PYPROJECT)] == served
+    (stable,) = re.findall(r'^wheel.py-api = "(cp3\d+)"$', PYPROJECT, re.MULTILINE)
     # One wheel for each version before the stable interface, and one for all from there on.
-    own = [f"cp3{minor}-cp3{minor}" for minor in built if int(minor) < int(stable)]
-    assert list(check_distributions.PYTHONS) == [*own, f"cp3{stable}-abi3"]
-    parts = re.findall(r"^archs = (\[.*\])$", PYPROJECT, re.MULTILINE)
-    matrix = WORKFLOWS["wheels"]["jobs"]["wheels"]["strategy"]["matrix"]["include"]
-    assert sorted(each["archs"] for each in matrix) == sorted(
-        arch for part in parts for arch in json.loads(part)
-    )
+    own = [name for name in (each.replace("3.", "cp3") for each in served) if name < stable]
+    assert list(check_distributions.PYTHONS) == [*(f"{name}-{name}" for name in own), f"{stable}-abi3"]
 
 
 def test_what_is_published_has_the_hashes_that_were_checked() -> None:
@@ -164,13 +126,6 @@ def test_what_is_published_has_the_hashes_that_were_checked() -> None:
         if taken:
             assert "sha256sum --check --strict" in of_job[taken[0] + 1].get("run", ""), name
         assert taken or not any("publish" in step.get("uses", "") for step in of_job)
-    wanted = re.findall(
-        r"^([\w-]+)(?:\[\w+\])?(==\S+)?$", (ROOT / ".github/tools.in").read_text(), re.MULTILINE
-    )
-    locked = (ROOT / ".github/tools.txt").read_text()
-    for name, version in wanted:
-        pinned = rf"^{name}{re.escape(version) or '=='}\S* \\\n    --hash=sha256:"
-        assert re.search(pinned, locked, re.MULTILINE), name
     for step in [*steps("wheels"), *steps("release")]:
         for line in re.split(r"\n|&&|\|\|", step.get("run", "")):
             words = shlex.split(line, comments=True)
@@ -179,15 +134,8 @@ def test_what_is_published_has_the_hashes_that_were_checked() -> None:
 
 @pytest.mark.parametrize("name", ["Dockerfile", "Dockerfile.cuda"])
 def test_containers_have_what_they_need(name: str) -> None:
-    text = re.sub(r"^#.*\n", "", (ROOT / "docker" / name).read_text(), flags=re.MULTILINE).replace(
-        "\\\n", " "
-    )
+    text = (ROOT / "docker" / name).read_text().replace("\\\n", " ")
     copies = re.findall(r"^COPY (?!--from)(.*) \S+$", text, re.MULTILINE)
-    copied = {source for sources in copies for source in sources.split()}
-    needed = re.findall(
-        r'^(?:readme|cmake\.source-dir) = "(\S+)"|backend-path = \["(\S+)"\]', PYPROJECT, re.MULTILINE
-    )
-    assert {"pyproject.toml", "src", "viewer", "native", "tools", *map("".join, needed)} <= copied
-    assert all((ROOT / source).exists() for source in copied)
+    assert all((ROOT / source).exists() for sources in copies for source in sources.split())
     assert re.findall(r"^USER (.*)$", text, re.MULTILINE)[-1] not in ("root", "0", "0:0")
     assert re.findall(r"^EXPOSE (.*)$", text, re.MULTILINE) == [str(PORT)]

@@ -7,26 +7,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 
 import scoup
 from messages import refuses
 from scoup.io import save_regions
-from scoup.models import CANONICAL_PHRASES, WordTable
-from support import small_scene, unit
+from scoup.models import CANONICAL_PHRASES
+from support import small_scene
 
 
 @pytest.fixture(scope="module")
 def things(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
-    import torch
-
     folder = tmp_path_factory.mktemp("things")
     gaussians, cameras, regions = small_scene(60, views=2)
     field = scoup.build(gaussians, cameras, regions, scoup.BuildSettings(n_atoms=4, k=4))
     field.save(folder / "f.scoup")
     save_regions(regions, folder / "language_features")
     names = ["kettle", *CANONICAL_PHRASES]
-    WordTable.save(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
-    field = field.with_encoder(scoup.TextEncoder.open(folder / "words.npz"))
+    field = field.with_encoder(dict(zip(names, torch.eye(len(names), 16).numpy(), strict=True)))
     texts = field.question("kettle")
     return SimpleNamespace(
         gaussians=gaussians, cameras=cameras, regions=regions, field=field, texts=texts, path=str(folder)

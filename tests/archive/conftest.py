@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import scoup
-from query.planted_room import ROOM, Box, planted_room
+from query.planted_room import CLUTTER, ROOM, Box, planted_room
 from scoup.models import WordTable
 from scoup.query import LanguageField
 from support import altered
@@ -31,7 +31,7 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
     for name, room in rooms.items():
         planted = planted_room(room)
         assert planted.thing_table is not None
-        names = [box.name for box in room] + [f"clutter {number}" for number in range(6)]
+        names = [*(box.name for box in room), *CLUTTER]
         things = replace(planted.thing_table, embeddings=encoder.encode(names).half())
         info = replace(planted.info, embedding_model="some/model", words=folder / "words.npz")
         made[name] = field = altered(planted, thing_table=things, info=info, words=encoder)

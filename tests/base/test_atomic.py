@@ -1,10 +1,17 @@
+"""Outputs of one process: what may be written, and what appears."""
+
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
+import torch
 
 from messages import refuses
 from scoup.base.errors import OutputExistsError, WriteError
 from scoup.base.outputs import atomic_file, atomic_path, check_output, write_text
+from scoup.base.scratch import scratch_array
 
 
 def test_makes_the_folder_and_replaces_nothing_by_default(tmp_path):
@@ -18,22 +25,6 @@ def test_makes_the_folder_and_replaces_nothing_by_default(tmp_path):
     assert [item.name for item in target.parent.iterdir()] == ["file.txt"]
     (tmp_path / "plain").write_text("x")
     assert target.stat().st_mode == (tmp_path / "plain").stat().st_mode
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path, error):
-    target = tmp_path / "file.bin"
-    target.write_bytes(b"old")
-
-    def write_half():
-        with atomic_file(target, overwrite=True) as stream:
-            stream.write(b"half")
-            raise error
-
-    with pytest.raises(error):
-        write_half()
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_somebody_else_wrote_meanwhile(tmp_path):
@@ -79,3 +70,26 @@ def test_names_as_long_as_a_file_system_allows(tmp_path):
     with pytest.raises(WriteError, match=said), atomic_file(tmp_path / ("a" * 256)):
         pass
     assert sorted(len(path.name) for path in tmp_path.iterdir()) == [246, 255, 255]
+
+
+# ---- large arrays in temporary files
+
+
+def test_scratch_arrays_are_zeros_that_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    array = scratch_array((1000, 3), np.float32)
+    assert not array.any()
+    array[:] = np.arange(3000).reshape(1000, 3)
+    tensor = torch.from_numpy(array)
+    del array
+    assert torch.equal(tensor, torch.arange(3000, dtype=torch.float32).reshape(1000, 3))
+    assert not list(tmp_path.iterdir())  # they have no name
+    assert scratch_array((0, 3), np.float32).shape == (0, 3)
+
+
+def test_scratch_arrays_without_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+    with pytest.raises(WriteError, match=r"gone.*TMPDIR"):
+        scratch_array((1,), np.float32)

@@ -45,33 +45,28 @@ def another_process(what: str, path: Path) -> Iterator[Popen[str]]:
 
 
 @pytest.mark.parametrize("what", WRITERS)
-def test_the_second_is_refused(tmp_path: Path, what: str) -> None:
-    path = tmp_path / "a.scoup"
-    with another_process(what, path):
+def test_the_second_is_refused_and_what_a_killed_one_left_goes_with_the_next(
+    tmp_path: Path, what: str
+) -> None:
+    path, other = tmp_path / "a.scoup", tmp_path / "b.scoup"
+    with another_process(what, path) as first, another_process(what, other) as second:
         with pytest.raises(OutputInUseError) as refused, WRITERS[what](path):
             pass
         output = path.parent / "a-scoup" if what == "staged" else path
         said = f"{output}: is being written by another process; wait for it, or choose another output"
         assert str(refused.value) == said
-        with atomic_file(tmp_path / "b.scoup"):  # another output
+        with atomic_file(tmp_path / "c.scoup"):  # another output
             pass
-    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.scoup", "b.scoup"]
-
-
-@pytest.mark.parametrize("what", WRITERS)
-def test_what_a_killed_process_left_goes_with_the_next_of_the_same_output(tmp_path: Path, what: str) -> None:
-    path, other = tmp_path / "a.scoup", tmp_path / "b.scoup"
-    for output in (path, other):
-        with another_process(what, output) as process:
+        for process in (first, second):
             process.kill()
             process.wait()
     assert not path.exists()
-    left = {item.name for item in tmp_path.iterdir()}
+    left = {item.name for item in tmp_path.iterdir()} - {"c.scoup"}
     assert len(left) == 4  # a temporary and a lock file of each
     with WRITERS[what](path) as made:
         if what == "path":
             made.write_text("whole")
-    remaining = {item.name for item in tmp_path.iterdir()} - {"a.scoup"}
+    remaining = {item.name for item in tmp_path.iterdir()} - {"a.scoup", "c.scoup"}
     assert len(remaining) == 2
     assert remaining < left  # those of the other output
 

@@ -1,4 +1,4 @@
-"""Methods: each is fitted to one scene of random regions and gives relevancy."""
+"""Methods: each is fitted to one scene of random regions and gives relevancy, also at other sizes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from torch import Tensor
 from scoup import raster
 from scoup.field import relevancy
 from scoup.scene import SparseCodes
-from scoup.uplift import BUILD_PRESETS, BuildSettings, build
+from scoup.uplift import BuildSettings, build, build_settings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
-from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
+from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines, resized_image
 from scoup_lab.baselines.joint_codes import JointSettings
 from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS
@@ -55,7 +55,7 @@ def test_every_method_gives_relevancy(scene: RasterisedScene, name: str) -> None
     assert coded.any()
     for level in range(3):
         assert (own[level][:, ~coded[level]] == 0.5).all()
-    assert fitted.bytes_per_gaussian > 0
+    assert fitted.bytes_per_gaussian == SIZES.get(name, fitted.bytes_per_gaussian) > 0
     assert method.follows
     assert method.departs
 
@@ -65,10 +65,8 @@ def test_codes_give_what_their_channels_give(scene: RasterisedScene) -> None:
     fitted = METHODS["sparse"].fit(scene, SETTINGS)
     assert isinstance(fitted, FittedField)
     field = fitted.field
-    dense = [
-        SparseCodes(field.code_indices[:, level], field.code_weights[:, level].float(), 8).to_dense()
-        for level in range(3)
-    ]
+    codes = zip(field.code_indices.unbind(1), field.code_weights.float().unbind(1), strict=True)
+    dense = [SparseCodes(indices, weights, 8).to_dense() for indices, weights in codes]
     channels = FittedChannels(dense, [code_cosines(atoms) for atoms in field.codebook], 36.0)
     queries, canonical = texts()
     projection = raster.project(scene.gaussians, scene.cameras[0])
@@ -82,22 +80,15 @@ def test_codes_give_what_their_channels_give(scene: RasterisedScene) -> None:
     assert fitted.coded().equal(channels.coded())
 
 
-def test_sizes(scene: RasterisedScene) -> None:
-    sizes = {
-        name: METHODS[name].fit(scene, SETTINGS).bytes_per_gaussian
-        for name in ("sparse", "sparse-all", "sparse-64-all", "dense", "top-45-contributors", "autoencoder")
-    }
-    # 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, the 8 with a thing; 16 floats; 16 bytes
-    # (D = 16); 3 floats.
-    assert sizes == {
-        "sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-45-contributors": 48,
-        "autoencoder": 36,
-    }  # fmt: skip
+# 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, the 8 with a thing; 16 floats; 16 bytes
+# (D = 16); 3 floats.
+SIZES = {"sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-45-contributors": 48,
+         "autoencoder": 36}  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "given", "expected"), [
     ("sparse", SETTINGS.build, SETTINGS.build),
-    ("paper", BuildSettings(epochs=3), replace(BUILD_PRESETS["paper"], epochs=3)),
+    ("paper", BuildSettings(epochs=3), build_settings("paper", epochs=3)),
 ])  # fmt: skip
 def test_fields_are_builds(
     scene: RasterisedScene, name: str, given: BuildSettings, expected: BuildSettings
@@ -109,10 +100,28 @@ def test_fields_are_builds(
         assert torch.equal(getattr(fitted.field, part), getattr(field, part)), part
 
 
-def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> None:
-    fitted = METHODS["autoencoder"].fit(scene, SETTINGS)
+def test_relevancy_of_dense_uplift_is_that_of_the_rendered_features(scene: RasterisedScene) -> None:
+    fitted = METHODS["dense"].fit(scene)
     assert isinstance(fitted, FittedChannels)
-    network = fit_autoencoder(torch.cat(list(scene.inputs().embeddings)), SETTINGS.autoencoder, 0)
+    projection, (queries, canonical) = raster.project(scene.gaussians, scene.cameras[0]), texts()
+    found = fitted.relevancy(projection, queries, canonical)
+    for level, features in enumerate(fitted.channels):
+        image = unit(raster.render_channels(projection, features)[0])
+        both = (image @ torch.cat([queries, canonical]).T).permute(2, 0, 1)[None]
+        assert torch.allclose(found[level], relevancy(both[:, :2], both[:, 2:])[0], atol=1e-6)
+
+
+def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> None:
+    """And the three numbers of a Gaussian are the mean of those of its regions, row by row, through the network's
+    layers: codes in another order, or of other rows, are not these."""
+    fitted, inputs = METHODS["autoencoder"].fit(scene, SETTINGS), scene.inputs()
+    assert isinstance(fitted, FittedChannels)
+    network = fit_autoencoder(torch.cat(list(inputs.embeddings)), SETTINGS.autoencoder, 0)
+    for level, embeddings in enumerate(inputs.embeddings):
+        with torch.no_grad():
+            codes = torch.stack([unit(network.encoder(row[None]))[0] for row in embeddings])
+        expected = torch.from_numpy(inputs.sums.matrix(level).toarray()) @ codes
+        assert torch.allclose(fitted.channels[level], unit(expected), atol=1e-4)
     queries, canonical = texts()
     projection = raster.project(scene.gaussians, scene.cameras[0])
     image, _ = raster.render_channels(projection, fitted.channels[1])
@@ -122,24 +131,9 @@ def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> No
     assert torch.allclose(fitted.relevancy(projection, queries, canonical)[1], expected, atol=1e-5)
 
 
-def test_the_three_numbers_of_a_gaussian_are_the_mean_of_those_of_its_regions(scene: RasterisedScene) -> None:
-    """Row by row, through the network's layers: codes in another order, or of other rows, are not these."""
-    inputs = scene.inputs()
-    fitted = METHODS["autoencoder"].fit(scene, SETTINGS)
-    assert isinstance(fitted, FittedChannels)
-    network = fit_autoencoder(torch.cat(list(inputs.embeddings)), SETTINGS.autoencoder, 0)
-    for level, embeddings in enumerate(inputs.embeddings):
-        with torch.no_grad():
-            codes = torch.stack([unit(network.encoder(row[None]))[0] for row in embeddings])
-        expected = torch.from_numpy(inputs.sums.matrix(level).toarray()) @ codes
-        assert torch.allclose(fitted.channels[level], unit(expected), atol=1e-4)
-
-
 def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
-    sizes = [
-        Method("", QuantisedUplift(parts)).fit(scene, SETTINGS).bytes_per_gaussian for parts in (4, 7, 64)
-    ]
-    assert sizes == [3 * 4, 3 * 4, 3 * 16]  # the largest divisor of 16 that is not more
+    for parts, size in ((4, 4), (7, 4), (64, 16)):  # the largest divisor of 16 that is not more
+        assert Method("", QuantisedUplift(parts)).fit(scene, SETTINGS).bytes_per_gaussian == 3 * size
 
 
 def test_the_table_of_methods_names_each_once() -> None:
@@ -147,3 +141,35 @@ def test_the_table_of_methods_names_each_once() -> None:
     section = text.split("## Methods compared")[1].split("\n## ")[0]
     named = [line.split("`")[1] for line in section.splitlines() if line.startswith("| `")]
     assert sorted(named) == sorted(METHODS)
+
+
+def test_resizing_is_bilinear_by_pixel_centres() -> None:
+    image = torch.rand(5, 6, 2, generator=torch.Generator().manual_seed(0))
+    assert resized_image(image, 6, 5) is image
+    found = resized_image(image, 9, 4)
+    for y in range(4):
+        for x in range(9):
+            v, u = max((y + 0.5) * 5 / 4 - 0.5, 0), max((x + 0.5) * 6 / 9 - 0.5, 0)
+            v0, u0 = int(v), int(u)
+            v1, u1 = min(v0 + 1, 4), min(u0 + 1, 5)
+            a, b = v - v0, u - u0
+            expected = (1 - a) * ((1 - b) * image[v0, u0] + b * image[v0, u1])
+            expected += a * ((1 - b) * image[v1, u0] + b * image[v1, u1])
+            assert torch.allclose(found[y, x], expected, atol=1e-6)
+
+
+def test_features_are_resized_before_they_are_compared(scene: RasterisedScene) -> None:
+    """Of a language field: coefficients are resized, which is the same as resizing features."""
+    field = build(scene.gaussians, scene.cameras, scene.regions, settings=SETTINGS.build)
+    fitted, camera = FittedField(field), scene.cameras[0]
+    projection, (queries, canonical) = field.project(camera), texts()
+    found = fitted.relevancy(projection, queries, canonical, (25, 19))
+    assert found.shape == (3, 2, 19, 25)
+    codes = field.render_codes(camera)
+    for level in range(3):
+        features = unit(resized_image(codes[level] @ field.codebook[level], 25, 19))
+        cosines = (features @ torch.cat([queries, canonical]).T).permute(2, 0, 1)
+        expected = relevancy(cosines[None, :2], cosines[None, 2:])[0]
+        assert torch.allclose(found[level], expected, atol=1e-5)
+    same = fitted.relevancy(projection, queries, canonical, (40, 30))
+    assert same.equal(field.relevancy(camera, queries, canonical))

@@ -1,23 +1,35 @@
-"""Every study, tiny, from its options to a record that its table can be made of."""
+"""Every study, tiny, from its options to a record that its table can be made of, and its figures by hand."""
 
 from __future__ import annotations
 
+import inspect
 import json
+import sys
 from itertools import product
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import torch
+from benchmarks import gpu
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
+from benchmarks.embedding_kinds import KINDS
+from benchmarks.gpu import Gpu
+from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
 from benchmarks.stages import Stages
 from benchmarks.study import Record, Study, run
-from benchmarks.things import PAIRS, Things
+from benchmarks.things import PAIRS, Things, average_precision
+from benchmarks.things_truth import is_between, is_true
 
+from messages import refuses
 from scoup import raster
-from scoup_lab.bench import usable_backends
+from scoup_lab.bench import random_workload, usable_backends
 
 SMALL: dict[str, Any] = {"width": 30, "height": 20}
 
@@ -63,14 +75,10 @@ def test_stages_are_compared_with_the_reference(monkeypatch: pytest.MonkeyPatch)
     ratio = median["60", "project", "reference", 1] / median["60", "project", "other", 1]
     assert [cell.strip() for cell in first.split("|")[1:6:2]] == ["60", "other", f"{ratio:.1f} x"]
     assert reason == "backend broken does not work here: No module named 'scoup.none'"
-
-
-def test_stages_of_the_reference_alone() -> None:
-    found = ran(
-        Stages(n_gaussians=(60,), repeats=1, threads=(1,), backends=("reference",), stages=("vote",), **SMALL)
+    alone = Stages(
+        n_gaussians=(60,), repeats=1, threads=(1,), backends=("reference",), stages=("vote",), **SMALL
     )
-    assert [row["backend"] for row in found["rows"]["60"]] == ["reference"]
-    assert "| reference |" in Stages.table(found)
+    assert "| reference |" in Stages.table(ran(alone))
 
 
 @pytest.mark.slow
@@ -95,9 +103,8 @@ def test_changes_between_captures() -> None:
 
 
 def test_the_area_under_the_curve_counts_ties_half() -> None:
-    tensor = torch.tensor([1.0, 2.0]).numpy()
-    assert auc(tensor, tensor) == 0.5
-    assert auc(tensor + 1, tensor) == 0.875
+    scores = np.array([1.0, 2.0])
+    assert (auc(scores, scores), auc(scores + 1, scores)) == (0.5, 0.875)
 
 
 def test_presence_by_thresholds_chosen_on_the_other_scenes() -> None:
@@ -107,3 +114,172 @@ def test_presence_by_thresholds_chosen_on_the_other_scenes() -> None:
     assert found["thresholds"] == {"desk": 0.45, "table-real": 0.805, "table-real-all": 0.805}
     assert found["chosen elsewhere"] == [pytest.approx(1 / 3, abs=1e-4), pytest.approx(2.5 / 3, abs=1e-4)]
     assert found["from"]["0.35"] == [1.0, pytest.approx(2.5 / 3, abs=1e-4)]
+
+
+SPANS = {  # along right, up and away
+    "table": [(0, 2), (0.7, 0.75), (0, 1)],
+    "mug": [(0.2, 0.3), (0.75, 0.85), (0.4, 0.5)],
+    "bowl": [(1.4, 1.8), (0.75, 0.9), (0.2, 0.6)],
+    "apple": [(1.5, 1.6), (0.8, 0.88), (0.3, 0.4)],
+    "lamp": [(0.9, 1.1), (1.8, 2), (0.4, 0.6)],
+    "pen": [(0.31, 0.41), (0.75, 0.76), (0.4, 0.5)],
+}
+BOXES = {name: np.array(spans) for name, spans in SPANS.items()}
+
+
+@pytest.mark.parametrize(
+    ("one", "relation", "other", "truth"),
+    [
+        ("mug", "left of", "bowl", True), ("bowl", "left of", "mug", False), ("mug", "left of", "table", None),
+        ("bowl", "right of", "mug", True), ("apple", "in front of", "mug", None), ("mug", "behind", "apple", None),
+        ("mug", "on", "table", True), ("lamp", "on", "table", False), ("mug", "on", "bowl", False),
+        ("lamp", "above", "table", True), ("table", "above", "lamp", False), ("table", "under", "mug", True),
+        ("apple", "inside", "bowl", True), ("mug", "inside", "bowl", False), ("bowl", "inside", "apple", None),
+        ("pen", "near", "mug", True), ("mug", "near", "bowl", False),
+    ],
+)  # fmt: skip
+def test_relations_of_boxes(one, relation, other, truth) -> None:
+    assert is_true(relation, BOXES[one], BOXES[other], other) is truth
+
+
+def test_between_and_average_precision_by_hand() -> None:
+    assert is_between(BOXES["table"], BOXES["mug"], BOXES["bowl"]) is True
+    assert is_between(BOXES["mug"], BOXES["table"], BOXES["bowl"]) is False
+    assert is_between(BOXES["pen"], BOXES["mug"], BOXES["bowl"]) is None
+    overlaps = np.array([[0.9, 0.0], [0.8, 0.1], [0.0, 0.6], [0.0, 0.0]])  # the second finds the first again
+    assert average_precision(overlaps, 0.5) == pytest.approx((1 + 2 / 3) / 2)
+    assert average_precision(overlaps, 0.7) == pytest.approx(0.5)
+    assert average_precision(np.zeros((0, 2)), 0.5) == 0
+
+
+def test_ranking_by_hand() -> None:
+    pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
+    from benchmarks.archive import _ranking
+
+    there = np.array([True, False, True])
+    assert _ranking(np.array([3.0, 2.0, 1.0]), there) == [pytest.approx((1 + 2 / 3) / 2), 1.0]
+
+
+@pytest.mark.data
+def test_simulated_scans_are_told_apart(data_folder: Path) -> None:
+    pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
+    from benchmarks.archive import _figures, _summary
+    from benchmarks.archive_scans import World
+
+    world = World.open(data_folder)
+    first, scans = (world.simulate(KINDS["desk"], 6, seed=100) for _ in range(2))
+    for one, other in zip(first, scans, strict=True):
+        assert (one.table.embeddings == other.table.embeddings).all()
+    figures = _figures(world, scans)
+    assert figures["AUC"]["own"] > figures["AUC"]["cosine"] > 0.5
+    summary = _summary({"desk/100": figures})
+    assert summary["own"]["AP"][0] > 0.6
+    assert summary["own"]["place"][0] > summary["cosine"]["place"][0]
+
+
+TINY = Gpu(n_gaussians=60, width=30, height=20, large=(32, 24), n_atoms=(8,), views=3, repeats=1)
+
+
+def stand_in(work: Any) -> Any:
+    """gsplat's module: it renders with the reference."""
+    projection = raster.project(work.gaussians, work.camera, "gsplat", "reference")
+
+    def rasterization(colors: torch.Tensor, **_: object) -> tuple[torch.Tensor]:
+        return (raster.render_channels(projection, colors)[0][None],)
+
+    return SimpleNamespace(rasterization=rasterization)
+
+
+@pytest.fixture
+def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Gpu, "device", "cpu")
+    monkeypatch.setattr(Gpu, "backend", "reference")
+    monkeypatch.setattr(gpu, "LEAST_SECONDS", 0.0)
+    monkeypatch.setattr(gpu, "answers_row", lambda device: {"device": device})  # tested below
+
+
+@pytest.mark.usefixtures("_on_a_cpu", "quick_python")
+def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("benchmarks.gpu_rows.TESTS", TESTS[:1])
+    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "0")  # they run in one process, which starts at once
+    monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
+    rows = run(TINY, "gpu")["rows"]
+    assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6
+    assert rows.pop("tests") == {"passed": 0, "failed": {}, "skipped": 1}
+    assert rows.pop("answers of a scene, by the command line") == {"device": "cpu"}
+    build = rows.pop("build")
+    assert build["seconds"] >= build["stages"]["region sums"] > 0
+    for size in ("30 x 20", "32 x 24"):
+        parity = rows.pop(f"parity, {size}")
+        assert [len(set(parity["region sums"]["entries"])), parity["vote"]["other codes"]] == [1, 0]
+        names = ("RGB", "coefficient maps", "cosines", "relevancy")
+        assert all(parity[name]["mean"] < 1e-6 for name in names)
+    assert len(rows) == 5 + 3 + 5 + len(QUERIES)
+    assert all(row["median_s"] > 0 for row in rows.values())
+    assert "| gsplat: RGB " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_answers_of_two_fields_by_the_command_line() -> None:
+    answers = answers_row("cpu", 2000, 40, 32, 3)
+    assert answers["least IoU"] == 1
+    assert answers["words"] == answers["same level"] > 1
+
+
+@pytest.mark.usefixtures("_on_a_cpu")
+def test_what_fails_is_a_row_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    monkeypatch.setattr(gpu, "KernelTests", lambda _: SimpleNamespace(row=dict))  # run above
+    rows = dict(TINY.measure({}))
+    assert rows[gpu.THEIRS]["reason"].startswith("ModuleNotFoundError")
+    assert rows["RGB"]["median_s"] > 0
+    left = dict(TINY.measure({name: of for name, of in rows.items() if name != "RGB"}))
+    assert list(left) == ["RGB"]
+    assert gpu.THEIRS in Gpu.table({"rows": rows})
+
+
+@pytest.mark.usefixtures("_on_a_cpu")
+def test_a_lost_device_ends_the_command_after_its_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = Mock(side_effect=RuntimeError("an illegal memory access was encountered"))
+    rows = TINY.measure({})
+    monkeypatch.setattr(raster, "render_cosines", lost)
+    monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
+    reason = "RuntimeError: an illegal memory access was encountered"
+    assert next(rows) == ("relevancy of a query, L = 8", {"reason": reason})
+    monkeypatch.setattr(torch, "zeros", lost)
+    with refuses():
+        next(rows)
+
+
+def test_without_a_gpu_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with refuses():
+        run(TINY, "gpu")
+
+
+def test_gsplat_takes_our_arguments() -> None:
+    module = pytest.importorskip("gsplat")
+    given: dict[str, Any] = {}
+
+    def rasterization(**arguments: Any) -> tuple[torch.Tensor]:
+        given.update(arguments)
+        return (torch.zeros(1, 10, 20, 3),)
+
+    work = random_workload(5, 20, 10, regions=(2, 2, 1))
+    gpu.render(SimpleNamespace(rasterization=rasterization), work, torch.rand(5, 3))
+    bound = inspect.signature(module.rasterization).bind(**given)
+    assert bound.arguments["viewmats"].shape == (1, 4, 4)
+
+
+@pytest.mark.parametrize("chunk", [7, 3])
+def test_dense_uplift_by_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "CHUNK", chunk)
+    work = random_workload(60, 30, 20, regions=(4, 3, 2))
+    embeddings = [torch.randn(len(codes), 7) for codes in work.codes]
+    blending = gpu.render(stand_in(work), work, torch.eye(60))  # e_i(p)
+    rows = [each[labels.long()] for each, labels in zip(embeddings, work.labels, strict=True)]
+    expected = torch.stack([torch.einsum("hwn,hwd->nd", blending, each) for each in rows])
+    assert expected.abs().max() > 1
+    out = torch.zeros(3, 60, 7)
+    gpu.dense_uplift(stand_in(work), work, embeddings, out)
+    torch.testing.assert_close(out, expected, atol=1e-4, rtol=1e-4)

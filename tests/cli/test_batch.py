@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from cli_support import FREE, refused, run, run_json, write_scene
-from scoup.query import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 pytestmark = pytest.mark.usefixtures("quick_python")
@@ -34,13 +33,9 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
     assert code == 2
     assert said["failed"] == ["broken"]
     assert "scans/broken/point_cloud.ply" in said["scans"]["broken"]["error"]
-    assert json.loads(Path("fields/batch.json").read_text())["scans"] == said["scans"]
     rows = [row.split("<td>")[1:] for row in Path("fields/batch.html").read_text().split("<tr>")[2:]]
     assert [row[:2] for row in rows] == [["a", "done"], ["b", "done"], ["broken", "failed"]]
     assert "scans/broken/point_cloud.ply" in rows[2][3]
-    for name in "ab":
-        assert not said["scans"][name]["kept"]
-        assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 128
     listed = run_json("archive", "archive", "--list")
     assert [each["scan"] for each in listed["scans"]] == ["a", "b"]
     assert "presence must be" in refused("archive", "archive", "kettle", "--presence", 2)
@@ -79,11 +74,11 @@ def test_fields_that_name_no_words_are_not_archived() -> None:
     assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
 
 
-@pytest.mark.parametrize("kind", ["127.0.0.1:{}", "ray://localhost:{}", "localhost:9{}"])
-def test_a_cluster_that_is_not_there_is_refused_at_once(kind: str) -> None:
+def test_a_cluster_that_is_not_there_is_refused_at_once() -> None:
     Path("scans/a").mkdir(parents=True)
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
-        address = kind.format(closed.getsockname()[1])
-        said = refused("batch", "scans", "--out", "f", "--ray", address)
-    assert f"--ray {address}: nothing answers there (" in said
+        port = closed.getsockname()[1]
+        for address in (f"127.0.0.1:{port}", f"ray://localhost:{port}", f"localhost:9{port}"):
+            said = refused("batch", "scans", "--out", "f", "--ray", address)
+            assert f"--ray {address}: nothing answers there (" in said

@@ -23,7 +23,7 @@ from scoup.io.splats.splat_format import SplatFormat
 from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
-from scoup.uplift import BUILD_PRESETS
+from scoup.uplift.settings import BUILD_PRESETS
 from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -33,14 +33,9 @@ def test_the_default_field():
     """3 levels of 4 atoms, each with an index of 1 byte and a weight of 2; 3 codebooks of 8 atoms of 16 numbers."""
     record = run_json("build", "scene", *QUICK, "--model", "scene/words.npz", "--embed-geometry")
     assert record["bytes"] == Path("scene.scoup").stat().st_size
-    assert 0 < record["coded"] <= 150
-    assert set(record["coding"]) == {"s", "m", "l"}
     field = LanguageField.load("scene.scoup")
     assert field.geometry_path == Path("scene/point_cloud.ply").absolute()
     assert field.info.embedding_model == ""  # that of LangSplat has 512 dimensions
-    assert field.info.provenance["settings"]["k"] == 4
-    assert field.cameras is not None
-    assert field.cameras.names[0] == "view_00.png"
     assert len(field.gaussians) == 150
     info = run_json("info", "scene.scoup")
     assert (info["bytes_of_codes_a_gaussian"], info["bytes_of_codebook"]) == (3 * 4 * 3, 3 * 8 * 16 * 4)
@@ -67,40 +62,24 @@ def test_settings_reach_the_field(monkeypatch: pytest.MonkeyPatch):
     assert field.code_indices.shape == (150, 3, 4)
 
 
-def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
-    Path("a.sums").mkdir()
-    Path("a.sums/file").write_bytes(b"precious")
-    record = run_json(*BUILD, "--keep-sums", "a.sums", "--k", "3")
-    assert record["sums"] == "a.sums"
-    sizes = [path.stat().st_size for path in Path("a.sums").iterdir()]
-    assert record["sums_bytes"] == sum(sizes) - len("precious")
-    info = run_json("info", "a.sums")
-    assert (info["kind"], info["views"], info["bytes"]) == ("region sums", 4, record["sums_bytes"])
-    before = snapshot(Path("a.sums"))
-    assert before["file"] == b"precious"  # beside what is there
-
-    def no_look(*_, **__):
-        raise AssertionError("nothing is rasterised")
-
-    monkeypatch.setattr("scoup.raster.project", no_look)
-    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "a.sums", "--k", "3")
-    assert Path("b.scoup").read_bytes() == Path("a.scoup").read_bytes()
-    assert snapshot(Path("a.sums")) == before
-
-
 @pytest.mark.usefixtures("quick_python")
 def test_parts_in_processes_of_their_own():
-    """At the same time, one of them twice; then one build of all of them."""
+    """At the same time; then one build of all of them, which rasterises nothing."""
     pytest.importorskip("filelock")
-    run_json("build", "scene", *QUICK, "--out", "whole.scoup", "--keep-sums", "whole.sums")
+    Path("parts").mkdir()
+    Path("parts/file").write_bytes(b"precious")  # beside what is there
+    whole = run_json("build", "scene", *QUICK, "--out", "whole.scoup", "--keep-sums", "whole.sums")
     parts = [("build", "scene", "--keep-sums", "parts", "--part", f"{number}/3") for number in (1, 2, 3)]
     ended = together(*parts)
     assert [done.returncode for done in ended] == [0, 0, 0], ended
     assert "part 1 of 3, 2 views of 4" in ended[0].stdout
     assert "with all parts there: scoup build scene --sums parts" in ended[0].stdout
-    assert run_json(*parts[1]) | {"seconds": 0} == {"sums": "parts", "views": 1, "of_views": 4, "seconds": 0}
-    assert snapshot(Path("parts")) == snapshot(Path("whole.sums"))
-    run_json(*BUILD, "--sums", "parts")
+    assert snapshot(Path("parts")) == {**snapshot(Path("whole.sums")), "file": b"precious"}
+    info = run_json("info", "parts")
+    assert (info["kind"], info["views"], info["bytes"]) == ("region sums", 4, whole["sums_bytes"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr("scoup.raster.project")
+        run_json(*BUILD, "--sums", "parts")
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
     next(Path("parts").glob("view.view_01*")).unlink()
     message = refused("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "parts")
@@ -116,9 +95,7 @@ def test_distorted_cameras_on_request():
     code, _, err = run(*BUILD)
     assert code == 2
     assert "--undistort" in err
-    out = run(*BUILD, "--undistort", "--keep-sums", "sums")[1]
-    assert "1 view with regions of 1 camera" in out
-    assert "MB of region sums, 1 view\n" in out
+    assert "1 view with regions of 1 camera" in run(*BUILD, "--undistort")[1]
     assert run_json("query", "a.scoup", "kettle", "--text", "scene/words.npz", "--scene", "scene")["answers"]
     assert "scoup build needs --undistort" in run("info", "scene")[1]
 
@@ -150,19 +127,17 @@ def test_a_table_leaves_the_model_that_its_features_or_it_names():
 
 
 def test_cameras_of_one_pixel():
+    """Regions of 40 x 30 and of one pixel both belong to such views."""
     pytest.importorskip("skimage")
-    write_colmap(
-        Cameras(camera.resized(1, 1) for camera in load_cameras("scene")), "scene/sparse/0", overwrite=True
-    )
+    cameras = Cameras(camera.resized(1, 1) for camera in load_cameras("scene"))
+    write_colmap(cameras, "scene/sparse/0", overwrite=True)
     for number in range(4):
         pixels = torch.full((1, 1, 3), 40 + 50 * number, dtype=torch.uint8)
         save_png(pixels, Path(f"scene/images/view_0{number}.png"), overwrite=True)
-    # Regions of 40 x 30 and of one pixel both belong to such views.
     assert run(*BUILD, "--model", "scene/words.npz")[0] == 0
     answers = run_json("query", "a.scoup", "kettle", "--camera", "all", "--out", "q")["answers"]
     assert [answer["pixel"] for answer in answers] == [[0, 0]] * 4
-    extract = ("extract", "scene", *FREE, "--out", "r")
-    assert run_json(*extract)["regions"] == 12
+    assert run_json("extract", "scene", *FREE, "--out", "r")["regions"] == 12
     assert run("build", "scene", *QUICK, "--features", "r", "--out", "b.scoup")[0] == 0
 
 
@@ -177,10 +152,7 @@ def test_regions_are_made_and_resumed():
     assert run("render", "a.scoup", "--what", "codes")[0] == 0
     assert not lacks_views(made, Path("scene"), None, "colors")
     next(made.glob("*.regions")).unlink()
-    assert lacks_views(made, Path("scene"), None, "colors")
     assert not lacks_views(made, Path("scene"), None, "a model of their own")
-    said = run_json("build", "scene", *QUICK, "--out", "b.scoup")
-    assert ("extraction" in said, said["views"]) == (False, 3)
     said = run_json("build", "scene", *FREE, *QUICK, "--out", "c.scoup")
     assert (said["extraction"]["made"], said["extraction"]["kept"], said["views"]) == (1, 3, 4)
 
@@ -197,12 +169,6 @@ def test_absurd_gaussians_are_counted():
 # ---- splats and cameras that do not fit
 
 
-def test_a_scene_that_fits_is_silent():
-    fit = run_json("info", "scene")["fit"]
-    assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
-    assert fit["similarity"] > 0.9
-
-
 def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
     read: list[Path] = []
 
@@ -212,7 +178,7 @@ def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
 
     table = [replace(FORMAT, read=counted_read)]
     monkeypatch.setattr(formats, "FORMATS", Registry("splat format", "none", SplatFormat, table))
-    assert "fit" in run_json("info", "scene")
+    assert run_json("info", "scene")["fit"]["verdict"] == "fits"
     assert read == [Path("scene/point_cloud.ply")]
 
 
@@ -241,29 +207,16 @@ def test_cameras_follow_a_splat_into_the_frame_of_its_training():
 # ---- transfer
 
 
-@pytest.fixture
-def edited() -> Gaussians:
-    """The scene's splat without its first five Gaussians, and with one more elsewhere."""
+def test_an_embedded_splat_is_replaced_by_the_edited_one() -> None:
     splat = load_gaussians("scene")
-    pasted = replace(splat, means=splat.means + 100).select([7])
-    edited = joined(splat.select(slice(5, None)), pasted)
+    edited = joined(splat.select(slice(5, None)), replace(splat, means=splat.means + 100).select([7]))
     save_gaussians(edited, "edited.ply")
-    return edited
-
-
-def test_codes_are_carried_over_to_an_edited_splat(edited: Gaussians) -> None:
-    run_json("transfer", "f.scoup", "edited.ply")
-    first, field = LanguageField.load("f.scoup"), LanguageField.load("edited.scoup")
-    assert field.code_weights[:-1].equal(first.code_weights[5:])
-    assert not field.code_weights[-1].any()
-    assert field.gaussians.fingerprint() == edited.fingerprint()
-
-
-def test_an_embedded_splat_is_replaced_by_the_edited_one(edited: Gaussians) -> None:
-    field = LanguageField.load("f.scoup")
-    _ = field.gaussians
+    field = LanguageField.load("f.scoup", splat)
     field.geometry_path = None
     field.save("whole.scoup")
     run_json("transfer", "whole.scoup", "edited.ply", "--out", "b.scoup")
     Path("edited.ply").unlink()
-    assert LanguageField.load("b.scoup").gaussians.fingerprint() == edited.fingerprint()
+    moved = LanguageField.load("b.scoup")
+    assert moved.gaussians.fingerprint() == edited.fingerprint()
+    assert moved.code_weights[:-1].equal(field.code_weights[5:])
+    assert not moved.code_weights[-1].any()

@@ -7,13 +7,17 @@ import json
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 import scoup
 from children import finished
-from cli_support import run
+from cli_support import BUILD, RUN, run
 from scoup.base import InputError, ScoupWarning, html, slug, unique_slugs
+from scoup.cli import main
 from scoup.cli.console import Console, run_verb
 from scoup.cli.options import Common
 
@@ -21,15 +25,12 @@ MACHINES = Common(as_json=True)
 
 
 def test_help_without_arguments_lists_the_verbs():
+    assert run("--version") == (0, f"scoup {scoup.__version__}\n", "")
     for arguments in ((), ("--help",), ("-h",)):
         code, out, _ = run(*arguments)
         assert code == 0
         assert all(verb in out for verb in ("demo", "build", "query", "select", "render", "info"))
         assert "Exit codes" in out
-
-
-def test_version():
-    assert run("--version") == (0, f"scoup {scoup.__version__}\n", "")
 
 
 @pytest.mark.parametrize(
@@ -45,15 +46,6 @@ def test_what_cannot_be_parsed_is_bad_input(arguments):
     assert err == f"error: {json.loads(out)['error']}\n"
     assert "--help" in err
     assert "---" not in err  # nothing of the frame around it
-
-
-def test_frames_of_the_parser_stay_out_of_json():
-    """Also where the terminal has no letters for them."""
-    command = [sys.executable, "-m", "scoup", "info", "x", "--odd", "--json"]
-    done = finished(command, env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    said = "Unrecognized options: --odd; see scoup --help, or scoup VERB --help"
-    assert (done.returncode, json.loads(done.stdout)) == (2, {"error": said})
-    assert json.loads(run(*command[3:])[1]) == {"error": said}
 
 
 @pytest.mark.usefixtures("here")
@@ -116,11 +108,6 @@ def test_faults_of_the_program_are_not_hidden():
         run_verb(Common(), verb)
 
 
-def test_texts_print_as_they_stand(capsys):
-    Console(Common()).say("a [red] :smile: [31, 9]")
-    assert capsys.readouterr().out == "a [red] :smile: [31, 9]\n"
-
-
 def test_file_names_of_texts():
     assert slug("Wooden  table!") == "wooden-table"
     assert slug("???") == "text"
@@ -136,13 +123,14 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     assert html("{{ text }}", text=hostile) == escaped  # in pages, too
 
     def speak(console: Console) -> None:
+        console.say("a [red] :smile: [31, 9]")
         console.say(f"{hostile}\tone\ntwo: é 水")
         warnings.warn(hostile, ScoupWarning, stacklevel=1)
         raise InputError(hostile.replace("\r", ""))
 
     assert run_verb(Common(), speak) == 2
     out, err = capsys.readouterr()
-    assert out == f"{escaped}\tone\ntwo: é 水\n"
+    assert out == f"a [red] :smile: [31, 9]\n{escaped}\tone\ntwo: é 水\n"
     assert err == f"warning: {escaped}\nerror: {escaped.replace(chr(92) + 'x0d', '')}\n"
 
 
@@ -159,3 +147,45 @@ def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPat
             progress("photographs", done, 4)
             now[0] += 100.0
     assert "0:03:20" in shown.getvalue()
+
+
+# ---- whoever reads the output may go: the work goes on, and the exit status is that of the work
+
+
+@contextmanager
+def nobody_reads(name: str) -> Iterator[None]:
+    """A standard stream is a pipe whose reader has gone."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    before = getattr(sys, name)
+    with open(writer, "w") as stream:
+        setattr(sys, name, stream)
+        try:
+            yield
+        finally:
+            setattr(sys, name, before)
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(("stream", "more"), [("stdout", ()), ("stdout", ("--json",)), ("stderr", ())])
+def test_results_and_warnings_that_nobody_reads(stream: str, more: tuple[str, ...]) -> None:
+    Path("scene/images/view_00.png").unlink()  # of which a warning is said
+    with nobody_reads(stream):
+        assert main([*BUILD, *more]) == 0
+    assert run("info", "a.scoup")[0] == 0
+
+
+def in_a_shell(python: str, *words: str, ending: str) -> int:
+    """The exit code of the command line."""
+    command = f"set -o pipefail; '{python}' -c '{RUN}' {' '.join(words)} {ending}"
+    return finished(["bash", "-c", command]).returncode
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
+def test_shells_that_close_streams(preloaded_python: str) -> None:
+    convert = ("convert", "scene/point_cloud.ply", "a.splat")
+    assert in_a_shell(preloaded_python, *convert, ending="| true") == 0
+    assert in_a_shell(sys.executable, *convert, "--overwrite", ending="<&- >&- 2>&-") == 0
+    assert run("info", "a.splat")[0] == 0
+    assert in_a_shell(preloaded_python, "build nowhere --out b.scoup", ending="2>&1 | true") == 2

@@ -30,7 +30,6 @@ def test_features_become_a_field_that_can_be_queried():
     pair = [LanguageField.load(path).gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
             for path, level in (("f.scoup", 1), ("new.scoup", 0))]  # fmt: skip
     assert torch.corrcoef(torch.stack(pair))[0, 1] > 0.9
-    assert run_json("select", "new.scoup", "kettle", "--out", "a.ply", "--always")["written"]
 
 
 def test_checkpoints_of_langsplatv2_become_a_field():
@@ -45,43 +44,23 @@ def test_checkpoints_of_langsplatv2_become_a_field():
 
 
 def test_the_autoencoders_features_become_embeddings():
-    torch.manual_seed(1)
     network = LangSplatAutoencoder([8, 3], [8, 16], dim=16).eval()
     torch.save(network.state_dict(), "best_ckpt.pth")
-    regions = load_regions("scene/language_features", load_cameras("scene"))
-    small, expected = Path("scene/language_features_dim3"), {}
-    small.mkdir()
-    for path in Path("scene/language_features").glob("*_f.npy"):
-        rows = torch.from_numpy(np.load(path))
+    small = Path("scene/language_features").rename("small")
+    for path in small.glob("*_f.npy"):
         with torch.no_grad():
-            codes = network.encode(rows)
-            expected[path.name.split("_f.npy")[0]] = network.decode(codes).numpy()
-        np.save(small / path.name, codes.numpy())
-        labels = path.name.replace("_f.npy", "_s.npy")
-        (small / labels).write_bytes((path.parent / labels).read_bytes())
+            np.save(path, network.encode(torch.from_numpy(np.load(path))).numpy())
     said = "the regions have 3 numbers each, codes of LangSplat's autoencoder"
     assert said in refused(*BUILD, "--features", small)
     code, _, err = run("info", small)
     assert (code, err.startswith(f"warning: {said}")) == (0, True)
-    record = run_json("convert", small, "decoded", "--autoencoder", "best_ckpt.pth", "--bits", "32")
-    assert run_json(*BUILD, "--features", "decoded")["views"] == 4
-    assert record["views"] == 4
-    found = load_regions("decoded", load_cameras("scene"))
-    for name in regions.view_names:
-        rows = np.concatenate([found.load(name, level).embeddings.numpy() for level in found.levels])
-        np.testing.assert_allclose(rows, expected[Path(name).stem][-len(rows) :], atol=1e-5)
-
-
-@pytest.mark.parametrize("suffix", [".compressed.ply", ".spz"])
-def test_splats_become_others(suffix):
-    before = load_gaussians("scene/point_cloud.ply")
-    record = run_json("convert", "scene/point_cloud.ply", f"a{suffix}")
-    found = load_gaussians(f"a{suffix}")
-    assert record["gaussians"] == len(found) == len(before)
-    assert record["bytes"] == Path(f"a{suffix}").stat().st_size
-    assert torch.allclose(found.means, before.means, atol=0.05)
-    assert torch.allclose(found.opacities, before.opacities, atol=0.01)
-    assert run_json("info", f"a{suffix}")["kind"] == "splat"
+    run_json("convert", small, "decoded", "--autoencoder", "best_ckpt.pth", "--bits", "32")
+    assert run_json("info", "decoded")["dim"] == 16
+    found, codes = load_regions("decoded", load_cameras("scene")), np.load(small / "view_00_f.npy")
+    with torch.no_grad():
+        wanted = network.decode(torch.from_numpy(codes)).numpy()
+    rows = np.concatenate([found.load("view_00.png", level).embeddings.numpy() for level in found.levels])
+    np.testing.assert_allclose(rows, wanted[-len(rows) :], atol=1e-5)
 
 
 def test_langsplats_files_become_compact():
@@ -90,14 +69,6 @@ def test_langsplats_files_become_compact():
     info = run_json("info", "compact")
     assert (info["kind"], info["views"], info["embedding_model"]) == ("region features", 4, "my/model")
     assert run_json("convert", "compact", "half")["bytes_after"] < record["bytes_after"]
-
-
-def test_openusd_is_written_and_not_read():
-    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
-    chosen = run_json("select", "f.scoup", "kettle", "--out", "kettle.usdz", "--always")
-    stage = usd.Stage.Open("kettle.usdz")
-    assert len(stage.GetDefaultPrim().GetAttribute("positions").Get()) == chosen["written"] > 0
-    assert run_json("convert", "scene/point_cloud.ply", "a.usd")["gaussians"] == 150
 
 
 # ---- words
@@ -116,9 +87,3 @@ def test_a_table_answers_as_its_model():
     assert (table.encode(asked) * model.encode(["red apple", "chair", "lamp"])).sum(1).min() > 1 - 1e-6
     assert (table.canonical() * model.canonical()).sum(1).min() > 1 - 1e-6
     assert table.everyday().shape[0] >= len(EVERYDAY_WORDS)
-    out = printed("words", "--model", "clip", "--out", "w.npz")
-    assert "scoup build SCENE --model w.npz" in out
-
-
-def test_a_model_that_is_nowhere():
-    assert "text model 'nobody/none' cannot be loaded" in refused("words", "--model", "nobody/none")

@@ -13,7 +13,6 @@ from PIL import Image
 from cli_support import refused, run, run_json
 from messages import check_message
 from scoup.base import Registry
-from scoup_lab.data.labels import read_labels
 from scoup_lab.evaluate import protocols
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
@@ -47,26 +46,15 @@ def test_tables_and_sheets(here: Path, name: str) -> None:
     out = here / f"eval_{name}"
     record = json.loads((out / f"{name}_scoup.json").read_text())
     assert result["reports"][f"{name}_scoup"] == record
-    assert record["protocol"] == f"{name} 2D"
-    assert set(record["scenes"]) == {"table", "shelves"}
-    low, high = record["overall"]["miou_interval"]
-    assert 0 < low < record["overall"]["miou"] < high < 1
-    assert (record["overall"]["accuracy"] is not None) == (name == "lerf-ovs")
-    mean = sum(scene["miou"] for scene in record["scenes"].values()) / 2
-    assert record["overall"]["miou"] == pytest.approx(mean)
-    assert record["published_percent"] == []
-    selected = json.loads((out / f"{name}_3d-selection.json").read_text())
-    assert selected["protocol"] == "3D selection"
+    overall = record["overall"]
+    assert 0 < overall["miou_interval"][0] < overall["miou"] < overall["miou_interval"][1] < 1
+    assert (overall["accuracy"] is not None) == (name == "lerf-ovs")
+    assert json.loads((out / f"{name}_3d-selection.json").read_text())["protocol"] == "3D selection"
     for suffix in ("md", "tex"):
-        text = (out / f"{name}_scoup.{suffix}").read_text()
-        assert "measured" in text
-        assert "3D selection" not in text
+        assert "3D selection" not in (out / f"{name}_scoup.{suffix}").read_text()
     for scene in ("table", "shelves"):
         with Image.open(out / "failures" / f"{scene}_scoup.png") as sheet:
             assert sheet.size[0] == 1200
-    if name == "lerf-ovs":
-        frames = [frame for scene in record["scenes"] for frame in read_labels(here / name / "label" / scene)]
-        assert record["overall"]["pairs"] == sum(len(frame.labels) for frame in frames)
 
 
 def test_built_once_scored_by_other_rules(here: Path) -> None:
@@ -81,22 +69,10 @@ def test_built_once_scored_by_other_rules(here: Path) -> None:
     assert field.stat().st_mtime_ns == made
     first = miou("scoup")
     assert first != miou("langsplat")
-    # The same again gives the same, and is refused without --overwrite.
     assert "--overwrite" in refused(*LERF, *QUICK)
     run_json(*LERF, *QUICK, "--overwrite")
     assert miou("scoup") == first
     assert "remove the field" in refused(*LERF, "--n-atoms", 8, "--overwrite")
-    field.unlink()
-    run_json(*LERF, "--n-atoms", 8, "--overwrite")
-    assert field.stat().st_mtime_ns != made
-
-
-def test_published_rows_stand_beside_scenes_of_the_published_names(here: Path) -> None:
-    root = here / "named"
-    shutil.copytree(here / "lerf-ovs" / "table", root / "ramen")
-    shutil.copytree(here / "lerf-ovs" / "label" / "table", root / "label" / "ramen")
-    record = run_json("eval", "lerf-ovs", root, *QUICK)["reports"]["lerf-ovs_scoup"]
-    assert record["published_percent"][0]["miou"] == 64.4
 
 
 MISTAKES = """3d-ovs 3d-ovs --rules langsplat
@@ -126,13 +102,8 @@ def test_baselines(here: Path) -> None:
     assert "table, sparse: mIoU " in run(*compare, *chosen[:2])[1]
     record = run_json(*compare, *chosen, "--overwrite")
     assert list(record["methods"]) == list(names)
-    for name, row in record["methods"].items():
-        assert 0 < row["miou"] < 1
-        assert row["selection_miou"] is not None
-        assert len(record["follows"][name]) == 3
-    text = (here / "eval_lerf-ovs" / "baselines.md").read_text()
-    assert "sparse - dense" in text
-    assert "3D selection" in text
+    assert all(0 < row["miou"] < 1 and row["selection_miou"] for row in record["methods"].values())
+    assert "3D selection" in (here / "eval_lerf-ovs" / "baselines.md").read_text()
     assert run(*compare, *chosen, "--overwrite")[1].count(", kept from before") == len(names)
 
 
@@ -148,9 +119,6 @@ def test_consistency(here: Path) -> None:
     record = run_json("eval", "consistency", *STUDY)
     assert record["matched_by"] == {"table": "Gaussians"}
     assert {row["features"] for row in record["results"]} == {"raw", "autoencoder", "sparse codes"}
-    for row in record["results"]:
-        assert row["unmatched"] <= row["cosine"] + 0.02
-        assert row["points"] > 10
 
 
 def test_synthetic_data_sets(tmp_path: Path) -> None:
@@ -168,9 +136,7 @@ def test_scannet(here: Path) -> None:
     for stem, record in result["reports"].items():
         assert json.loads((out / f"{stem}.json").read_text()) == record
         assert 0.3 < record["systems"]["this run"]["overall"]["mIoU"] < 1
-        assert set(record["systems"]["this run"]["scenes"]) == {"table", "shelves"}
-        for suffix in ("md", "tex"):
-            assert "mAcc" in (out / f"{stem}.{suffix}").read_text()
+        assert (out / f"{stem}.tex").is_file()
     assert "--overwrite" in refused(*SCANNET)
     said = run(*SCANNET, "--classes", "10", "--overwrite", "--level", "m")[1]
     assert "10 (10 classes): 2 scenes" in said
@@ -186,6 +152,5 @@ def test_scannet_with_parts_elsewhere(here: Path) -> None:
         "--features views/{scene}/language_features --images views/{scene}/images --cameras views/{scene}"
     )
     systems = run_json(*arguments, *places.split())["reports"]["scannet_10"]["systems"]
-    assert systems["this run"]["overall"]["mIoU"] > 0.3
     assert 0.1 < systems["dense"]["overall"]["mIoU"] < 1
     assert systems["dense"]["intervals"]["mIoU"] is None  # of one scene

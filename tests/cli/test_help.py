@@ -73,12 +73,6 @@ def test_lines_fit_the_terminal(verb, columns):
     assert all(len(line) <= columns for line in help_of(*verb, columns=columns).splitlines())
 
 
-def test_a_list_of_verbs_names_each():
-    assert re.findall(r"^ +• (\S+)", help_of("eval"), flags=re.MULTILINE) == [
-        verb[1] for verb in ALL if verb[0] == "eval"
-    ]
-
-
 # torch takes a second to start, scipy half of one
 HEAVY = ("torch", "scipy", "PIL", "transformers", "triton", "jinja2")
 IMPORTED = f"""

@@ -67,10 +67,8 @@ def stuck(*arguments: object) -> Iterator[Popen[str]]:
 KEPT = "error: {}; 2 of 4 views are kept, run the same command again to continue\n"
 STOPS = {
     "interrupted": (KEEP, signal.SIGINT, 130, KEPT.format("interrupted"), {"sums"}),
-    "terminated": (KEEP, signal.SIGTERM, 143, KEPT.format("terminated"), {"sums"}),
     "killed": (KEEP, signal.SIGKILL, -9, "", {"sums", ".a.scoup.work.lock"}),
-    "interrupted, none kept": (BUILD, signal.SIGINT, 130, "error: interrupted; nothing was written\n", set()),
-    "killed, none kept": (BUILD, signal.SIGKILL, -9, "", {".a.scoup.work", ".a.scoup.work.lock"}),
+    "terminated, none kept": (BUILD, signal.SIGTERM, 143, "error: terminated; nothing was written\n", set()),
 }
 """The build, the signal, the exit code, what is said, and what is left: else neither locks nor temporary files."""
 
@@ -96,8 +94,8 @@ def test_a_build_that_is_stopped_goes_on(case: str) -> None:
 
 
 def test_verbs_that_find_their_output_in_use() -> None:
-    run_json(*BUILD[:-1], "kept.scoup", "--keep-sums", "sums")
-    Path("regions").mkdir()
+    for name in ("regions", "sums"):
+        Path(name).mkdir()
     part = ("build", "scene", "--keep-sums", "sums", "--part", "1/2")
     with (
         reserved_output(Path("a.scoup")),
@@ -106,8 +104,6 @@ def test_verbs_that_find_their_output_in_use() -> None:
     ):
         for verb in (BUILD, part, EXTRACT):
             check_message(refused(*verb))
-        again = (*BUILD[:-1], "b.scoup", "--sums", "sums")
-        assert run(*again)[0] == 0  # sums are only read, and the output is another
 
 
 def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,9 +122,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     assert code == 130
     assert err == "error: interrupted; 3 of 4 views are kept, run the same command again to continue\n"
     assert json.loads(out) == {"error": err.removeprefix("error: ").strip()}
-    assert sorted(path.name for path in Path("regions").iterdir()) == [
-        "regions.json", "view_00.regions", "view_01.regions", "view_02.regions",
-    ]  # fmt: skip
+    assert len(list(Path("regions").glob("*.regions"))) == 3
     out = printed(*EXTRACT)
     assert "regions: resumes: 3 of 4 views are done\n" in out
     assert "1 view made, 3 already there" in out
@@ -209,9 +203,7 @@ except KeyboardInterrupt as stop:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
-@pytest.mark.parametrize(("number", "count"), [
-    (signal.SIGINT, 40), (signal.SIGTERM, 160), (signal.SIGINT, 640), (signal.SIGTERM, 1200)
-])  # fmt: skip
+@pytest.mark.parametrize(("number", "count"), [(signal.SIGINT, 40), (signal.SIGTERM, 640)])
 def test_a_stop_while_libraries_are_imported_is_quiet(number: int, count: int) -> None:
     arguments = ("query", "f.scoup", "kettle", "--out", "answers")
     done = finished([PYTHON, "-c", AT_AN_IMPORT, int(number), count, *arguments])
@@ -229,13 +221,11 @@ def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> 
     assert names() - before - {"__pycache__"} == {"whole"}
 
 
-def test_who_ignores_interruptions_still_does() -> None:
+def test_who_ignores_interruptions_still_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """As jobs in the background of a shell."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        stop_on_signals()
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    handlers = {signal.SIGINT: signal.SIG_IGN, signal.SIGTERM: signal.SIG_DFL}
+    monkeypatch.setattr("signal.signal", handlers.__setitem__)
+    monkeypatch.setattr("signal.getsignal", handlers.__getitem__)
+    stop_on_signals()
+    assert handlers[signal.SIGINT] is signal.SIG_IGN
+    assert handlers[signal.SIGTERM] is not signal.SIG_DFL

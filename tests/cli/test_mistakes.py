@@ -221,6 +221,7 @@ def test_a_mistake_is_one_sentence(mistaken: Path, monkeypatch: pytest.MonkeyPat
     ("extract scene --segmenter ./no-such-model", "or pass --segmenter felzenszwalb, which needs no model"),
     ("extract scene --segmenter felzenszwalb --embedder ./no-such-model", "or pass --embedder colors, which needs no"),
     (f"{BUILT} --keep-sums file --overwrite", "file: cannot be written ("),
+    ("words --model nobody/none", "text model 'nobody/none' cannot be loaded"),
 ])  # fmt: skip
 def test_mistakes_of_which_the_machine_says_more(
     mistaken: Path, monkeypatch: pytest.MonkeyPatch, command: str, said: str
@@ -255,9 +256,9 @@ def gone(file: str) -> None:
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("file", [TABLE, PLY, "f.scoup"])
-@pytest.mark.parametrize(("command", "damage"), [
-    (QUERY, cut), (QUERY, emptied), (QUERY, text), (QUERY, a_folder), (SELECT, cut), (RENDER, text),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "damage"), [(QUERY, cut), (QUERY, a_folder), (SELECT, emptied), (RENDER, text)]
+)
 def test_damaged_inputs_of_verbs_that_ask(command: str, damage: Callable[[str], None], file: str) -> None:
     """What is wrong with the bytes, other libraries say in words of their own."""
     damage(file)
@@ -286,6 +287,11 @@ def cameras_that_see_nothing() -> None:
     write_colmap(cameras, "scene/sparse/0", overwrite=True)
 
 
+def no_splat() -> None:
+    LanguageField.load("f.scoup", load_gaussians(PLY)).save("whole.scoup", embed_geometry=True)
+    gone(PLY)
+
+
 def no_cameras_and_regions() -> None:
     gone("scene/language_features")
     gone("scene/sparse")
@@ -304,7 +310,8 @@ def regions_of_three_views() -> None:
 
 CHANGES: dict[str, tuple[Callable[[], object], list[str]]] = {
     "no scene": (lambda: gone("scene"), [BUILT]),
-    "no splat": (lambda: gone(PLY), [BUILT, QUERY, SELECT, "render f.scoup"]),
+    "no splat": (no_splat, [
+        BUILT, QUERY, SELECT, "render f.scoup", "compare f.scoup f.scoup", "compare whole.scoup f.scoup"]),
     "no cameras": (lambda: gone("scene/sparse"), [BUILT]),
     "no regions": (lambda: gone("scene/language_features"), [f"{BUILT} --sums s"]),
     "no words": (lambda: gone(TABLE), [QUERY]),

@@ -50,12 +50,6 @@ def test_export_prints_sizes() -> None:
     assert run_json("view", "f.scoup", "--export", "own.html", "--words", "words.txt")["words"] == 1
 
 
-def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    built = page.page_files
-    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: built(tmp_path))
-    assert "tools/build_viewer.py" in refused("view", "f.scoup")
-
-
 SERVE = f"""
 import scoup.view
 from scoup.view import page, viewer

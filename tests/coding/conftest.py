@@ -5,22 +5,19 @@ from __future__ import annotations
 from types import ModuleType
 
 import pytest
-from coders import Coder, native_coder, reference_coder
+from coders import Coder, native_coder
+
+from scoup.base import native_core
+from scoup.coding.reference import code
 
 
 @pytest.fixture(scope="session")
 def core() -> ModuleType:
     """The compiled core; tests that need it are skipped where it is not built."""
-    module = pytest.importorskip("scoup.base.native").native_core()
+    module = native_core()
     if module is None:
         pytest.skip("the compiled core is not built")
     return module
-
-
-@pytest.fixture(params=["reference", "native"])
-def coder(request: pytest.FixtureRequest) -> Coder:
-    """Codes rows from similarities; see ``coders``."""
-    return reference_coder if request.param == "reference" else native_coder(request.getfixturevalue("core"))
 
 
 @pytest.fixture(params=["reference", "native"])
@@ -29,3 +26,8 @@ def backend(request: pytest.FixtureRequest) -> str:
     if request.param == "native":
         request.getfixturevalue("core")
     return request.param
+
+
+@pytest.fixture
+def coder(backend: str, request: pytest.FixtureRequest) -> Coder:
+    return code if backend == "reference" else native_coder(request.getfixturevalue("core"))

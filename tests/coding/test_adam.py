@@ -5,11 +5,20 @@ from __future__ import annotations
 import pytest
 import torch
 from coders import clip_like
-from plain_adam import plain_adam, plain_loss
+from torch import Tensor
 
 from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, START_ITERATIONS, loss_and_gradients, solve_adam
 from scoup.coding.backends import coding_backend
 from scoup.coding.kmeans import spherical_kmeans
+
+
+def plain_loss(rows: Tensor, atoms: Tensor, logits: Tensor, k: int) -> Tensor:
+    """The paper's loss in its plain form."""
+    soft = torch.softmax(logits, dim=1)
+    values, indices = torch.topk(soft, k, dim=1)
+    weights = torch.zeros_like(soft).scatter(1, indices, values)
+    weights = weights / weights.sum(1, keepdim=True)
+    return (1 - torch.nn.functional.cosine_similarity(weights @ atoms, rows, dim=1)).mean()
 
 
 def test_loss_and_gradients_are_those_of_autograd(backend: str) -> None:
@@ -31,16 +40,25 @@ def test_loss_and_gradients_are_those_of_autograd(backend: str) -> None:
 
 
 def test_the_papers_settings_follow_plain_autograd(backend: str) -> None:
+    """The solver in its plain form: dense logits, D-dimensional reconstructions, autograd, Adam."""
     rows = clip_like(400, 64)
     solution = solve_adam(rows, 32, 4, epochs=50, backend=backend)
     random = torch.Generator().manual_seed(0)
-    atoms = spherical_kmeans(rows, 32, random, coding_backend(backend), START_ITERATIONS)
-    logits = rows @ atoms.T * LOGIT_SCALE
-    _, ended, losses = plain_adam(rows, atoms, logits, 4, 50, LEARNING_RATE)
+    atoms = spherical_kmeans(rows, 32, random, coding_backend(backend), START_ITERATIONS).requires_grad_()
+    start = rows @ atoms.detach().T * LOGIT_SCALE
+    logits = start.clone().requires_grad_()
+    optimizer = torch.optim.Adam([logits, atoms], lr=LEARNING_RATE)
+    losses = []
+    for _ in range(50):
+        optimizer.zero_grad()
+        loss = plain_loss(rows, atoms, logits, 4)
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
     assert solution.losses == pytest.approx(losses, abs=2e-6)
     assert solution.losses[-1] < solution.losses[0]
-    values, indices = ended.topk(4, dim=1)
-    changed = (logits.topk(4, dim=1).indices.sort(1).values != indices.sort(1).values).any(1)
+    values, indices = logits.detach().topk(4, dim=1)
+    changed = (start.topk(4, dim=1).indices.sort(1).values != indices.sort(1).values).any(1)
     assert float(changed.float().mean()) > 0.05, "hardly a support changed: the test would prove little"
     same = (solution.codes.indices.long() == indices).all(1)
     assert float(same.float().mean()) > 0.98

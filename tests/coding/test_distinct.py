@@ -26,10 +26,17 @@ def classes(n_rows: int, count: int, seed: int = 1) -> Tensor:
     return drawn
 
 
-def test_ten_values_among_500_rows_are_coded_without_loss() -> None:
+def test_ten_values_among_500_rows_are_coded_without_loss(backend: str) -> None:
     of_row = classes(500, 10)
-    rows = values(10)[of_row]
-    book = fit_codes(rows, 128, 4)
+    seen: list[tuple[int, int]] = []
+    book = fit_codes(
+        values(10)[of_row],
+        128,
+        4,
+        backend=backend,
+        progress=lambda _, done, total: seen.append((done, total)),
+    )
+    assert seen == [(0, 1), (1, 1)]
     assert (book.codes.weights[:, 0] == 1).all()
     assert not book.codes.weights[:, 1:].any()
     assert book.codes.indices[:, 0].long().equal(of_row)
@@ -37,13 +44,11 @@ def test_ten_values_among_500_rows_are_coded_without_loss() -> None:
     assert not book.atoms[10:].any()
     assert book.report.loss == pytest.approx(0, abs=1e-6)
     assert (book.report.epochs, book.report.dead_atoms) == (0, pytest.approx(118 / 128))
-
-
-def test_every_backend_gives_the_same(backend: str) -> None:
-    rows = values(10)[classes(300, 10)]
-    first, second = fit_codes(rows, 32, 4), fit_codes(rows, 32, 4, seed=3, backend=backend)
-    assert first.atoms.equal(second.atoms)
-    assert first.codes.indices.equal(second.codes.indices)
+    known = book.encode(values(10))
+    assert known.codes.indices[:, 0].tolist() == list(range(10))
+    assert known.codes.weights.tolist() == [[1, 0, 0, 0]] * 10
+    assert not known.badly_explained.any()
+    assert book.encode(values(2, seed=5)).badly_explained.all()  # new ones
 
 
 def test_near_copies_are_one_value_and_others_are_not() -> None:
@@ -56,6 +61,9 @@ def test_near_copies_are_one_value_and_others_are_not() -> None:
     assert len(found[0]) == 8
     assert found[1].equal(of_row)
     assert distinct_rows(torch.nn.functional.normalize(rows + 1e-3 * noise, dim=1), 20) is None
+    none = distinct_rows(torch.zeros(0, 4), 3)
+    assert none is not None
+    assert (list(none[0].shape), len(none[1])) == ([0, 4], 0)
 
 
 def test_norms_do_not_matter_and_zero_rows_get_empty_codes() -> None:
@@ -70,16 +78,6 @@ def test_norms_do_not_matter_and_zero_rows_get_empty_codes() -> None:
     assert book.report.loss == pytest.approx(0, abs=1e-6)
 
 
-def test_rows_that_are_known_get_the_same_codes_and_new_ones_are_noticed() -> None:
-    book = fit_codes(values(10)[classes(500, 10)], 128, 4)
-    known = book.encode(values(10))
-    assert known.codes.indices[:, 0].tolist() == list(range(10))
-    assert known.codes.weights.tolist() == [[1, 0, 0, 0]] * 10
-    assert not known.badly_explained.any()
-    new = values(2, seed=5)
-    assert book.encode(new).badly_explained.all()
-
-
 def test_sizes() -> None:
     of_row = classes(60, 10)
     rows = values(10)[of_row]
@@ -91,12 +89,8 @@ def test_sizes() -> None:
         assert codes.indices[:, 0].long().equal(of_row)
         assert codes.weights.sum(1).equal(torch.ones(60))
     # Too many values are learned: more than atoms, or fewer than two rows a value.
-    assert all(
-        value_codes(*given) is None for given in ((rows, 9, 2), (rows[:19], 32, 2), (rows[:10], 32, 2))
-    )
-    none = distinct_rows(torch.zeros(0, 4), 3)
-    assert none is not None
-    assert (list(none[0].shape), len(none[1])) == ([0, 4], 0)
+    for given in ((rows, 9, 2), (rows[:19], 32, 2), (rows[:10], 32, 2)):
+        assert value_codes(*given) is None
 
 
 @pytest.mark.parametrize("n_atoms", [4, 64])
@@ -106,9 +100,3 @@ def test_rows_that_all_differ_are_coded_as_ever(n_atoms: int) -> None:
     assert book.atoms.equal(learned.atoms)
     assert book.codes.indices.equal(learned.codes.indices)
     assert book.codes.weights.equal(learned.codes.weights)
-
-
-def test_progress_is_complete() -> None:
-    seen: list[tuple[int, int]] = []
-    fit_codes(values(5)[classes(50, 5)], 8, 2, progress=lambda _, done, total: seen.append((done, total)))
-    assert seen == [(0, 1), (1, 1)]

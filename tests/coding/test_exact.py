@@ -16,7 +16,8 @@ from children import finished
 from scoup.coding import exact, fit_codes
 from scoup.coding.adam import solve_adam
 from scoup.coding.backends import coding_backend
-from scoup.coding.exact import FAST, ExactSettings, Learner, solve_exact
+from scoup.coding.codebook import Solution
+from scoup.coding.exact import ExactSettings, Learner, solve_exact
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
 from support import threads_of_torch
@@ -115,13 +116,17 @@ def test_rare_atoms_are_placed_at_badly_coded_rows() -> None:
     assert len(learner.reseed(torch.arange(4), rows[:2], cosines[-2:])) == 2  # fewer rows than atoms
 
 
+def assert_same_bytes(one: Solution, other: Solution) -> None:
+    assert one.atoms.equal(other.atoms)
+    assert one.codes.indices.equal(other.codes.indices)
+    assert one.codes.weights.equal(other.codes.weights)
+    assert one.losses == other.losses
+
+
 def test_same_seed_same_bytes(backend: str) -> None:
     rows = clip_like(300, 16)
-    first, second, other = (solve_exact(rows, 12, 3, seed, FAST, backend=backend) for seed in (5, 5, 6))
-    assert first.atoms.equal(second.atoms)
-    assert first.codes.weights.equal(second.codes.weights)
-    assert first.codes.indices.equal(second.codes.indices)
-    assert first.losses == second.losses
+    first, second, other = (solve_exact(rows, 12, 3, seed, QUICK, backend=backend) for seed in (5, 5, 6))
+    assert_same_bytes(first, second)
     assert not first.atoms.equal(other.atoms)
 
 
@@ -135,20 +140,14 @@ def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
     assert len({replace(book.report, seconds=0.0) for book in books}) == 1
     assert len({book.atoms.numpy().tobytes() for book in books}) == 1
     for solution in solutions[1:]:
-        assert solution.atoms.equal(solutions[0].atoms)
-        assert solution.codes.indices.equal(solutions[0].codes.indices)
-        assert solution.codes.weights.equal(solutions[0].codes.weights)
-        assert solution.losses == solutions[0].losses
+        assert_same_bytes(solution, solutions[0])
 
 
 @pytest.mark.parametrize(("solver", "epochs"), [("exact", 205), ("adam", 5)])
-def test_zero_rows_get_empty_codes(backend: str, solver: str, epochs: int) -> None:
+def test_zero_rows_get_empty_codes(solver: str, epochs: int) -> None:
     rows = clip_like(120, 16) * 3
     rows[[0, 50]] = 0
-    book, kept = (
-        fit_codes(each, 10, 3, solver=solver, epochs=5, seed=2, backend=backend)
-        for each in (rows, rows[rows.any(1)])
-    )
+    book, kept = (fit_codes(each, 10, 3, solver, epochs=5, seed=2) for each in (rows, rows[rows.any(1)]))
     assert (book.report.solver, book.report.regions, book.report.epochs) == (solver, 118, epochs)
     torch.testing.assert_close(book.codes.weights.sum(1), rows.any(1).float())
     assert kept.atoms.equal(book.atoms)

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
-from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from coders import (
-    Coder,
-    assert_valid,
-    best_of_all_supports,
-    clip_like,
-    dense,
-    native_coder,
-    problem,
-    reference_coder,
-)
+from coders import Coder, clip_like, native_coder, problem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -30,6 +21,42 @@ from scoup.coding import native, reference
 from scoup.coding.backends import RowCodes
 from scoup.coding.least_squares import nonnegative_least_squares
 from support import examples
+
+
+def dense(coded: RowCodes, n_atoms: int) -> Tensor:
+    """[n, L] float64 weights."""
+    weights = torch.zeros(len(coded.support), n_atoms, dtype=torch.float64)
+    return weights.scatter_add_(1, coded.support.clamp(min=0), coded.weights)
+
+
+def best_of_all_supports(similarities: Tensor, gram: Tensor, k: int) -> Tensor:
+    """[n] the greatest cosine over all supports of at most k atoms, by trying each."""
+    best = torch.zeros(len(similarities), dtype=torch.float64)
+    for size in range(1, k + 1):
+        for support in itertools.combinations(range(len(gram)), size):
+            chosen = list(support)
+            toward, within = similarities[:, chosen].double(), gram[chosen][:, chosen].double()
+            weights = torch.linalg.lstsq(within, toward.T).solution.T
+            explained = (weights * toward).sum(1).clamp(min=0).sqrt()
+            # A non-negative optimum has positive weights on some support, and is the solution without signs there.
+            best = torch.where((weights >= 0).all(1), torch.maximum(best, explained), best)
+    return best
+
+
+def assert_valid(coded: RowCodes, similarities: Tensor, gram: Tensor, k: int) -> None:
+    """Codes are well formed, and their weights optimal for the atoms used."""
+    used = coded.support >= 0
+    assert coded.support.shape == coded.weights.shape == (len(similarities), k)
+    assert bool((coded.support < len(gram)).all())
+    assert bool((used == (coded.weights > 0)).all())
+    assert bool((coded.weights[:, :-1] >= coded.weights[:, 1:]).all())
+    assert all(len(set(row)) == len(row) for row in (s[s >= 0].tolist() for s in coded.support))
+    weights = dense(coded, len(gram))
+    pull = similarities.double() - weights @ gram.double()
+    scale = similarities.abs().amax().double().clamp(min=1e-30)
+    assert bool(((pull / scale).abs()[weights > 0] <= 3e-5).all())
+    explained = (weights * similarities.double()).sum(1).clamp(min=0).sqrt()
+    torch.testing.assert_close(coded.cosines, explained, atol=1e-6, rtol=1e-5)
 
 
 # Seeds of the problems are fixed; shares and gaps stand well clear of what either form reaches.
@@ -84,7 +111,7 @@ def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim:
 
 def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: Any) -> RowCodes:
     """Rounding may turn a choice between equals, and then the codes differ; hardly ever, and hardly."""
-    ours, theirs = (coder(similarities, gram, *more) for coder in (native_coder(core), reference_coder))
+    ours, theirs = (coder(similarities, gram, *more) for coder in (native_coder(core), reference.code))
     assert_valid(ours, similarities, gram, more[0])
     mine, yours = (dense(each, len(gram)) for each in (ours, theirs))
     same = (mine > 0).eq(yours > 0).all(1)
@@ -171,12 +198,8 @@ def test_rows_that_no_atom_helps(coder: Coder) -> None:
 # From here on: the compiled core alone.
 
 
-def arrays(count: int = 700, dim: int = 50, n_atoms: int = 37) -> tuple[np.ndarray, np.ndarray]:
-    return clip_like(count, dim).numpy(), clip_like(n_atoms, dim, seed=1).numpy()
-
-
 def test_a_row_is_coded_alike_alone_and_among_others(core: ModuleType) -> None:
-    rows, atoms = arrays(101)
+    rows, atoms = clip_like(101, 50).numpy(), clip_like(37, 50, seed=1).numpy()
     together = core.code_rows(rows, atoms, 4, 1)
     for row in (0, 47, 48, 100):
         alone = core.code_rows(rows[row : row + 1].copy(), atoms, 4, 1)
@@ -192,15 +215,12 @@ def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, 
     support = np.argsort(random.random((count, n_others)), 1)[:, :3].astype(np.int32)
     weights = random.random(support.shape, np.float32)
     weights[::2, -1], support[::2, -1] = 0, -1
-    scale = random.random(count, np.float32)
-    tensors = [torch.from_numpy(array) for array in (rows, support, weights, scale)]
-    codes = RowCodes(*tensors[1:])
-    for ours, theirs in zip(
-        native.code_moments(tensors[0], codes, tensors[3], n_others),
-        reference.code_moments(tensors[0], codes, tensors[3], n_others),
-        strict=True,
-    ):
-        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    first, *codes = (torch.from_numpy(array) for array in (rows, support, weights, weights[:, 0].copy()))
+    ours, theirs = (
+        each.code_moments(first, RowCodes(*codes), codes[2], n_others) for each in (native, reference)
+    )
+    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-4)
+    np.testing.assert_allclose(ours[1], theirs[1], atol=1e-4)
     half = random.standard_normal((n_others, n_others))
     matrix, right = half @ half.T + np.eye(n_others), random.standard_normal((n_others, dim))
     np.testing.assert_allclose(core.solve_positive_definite(matrix, right), np.linalg.solve(matrix, right))
@@ -215,65 +235,58 @@ def test_long_sums_keep_their_precision(core: ModuleType) -> None:
     np.testing.assert_allclose(toward, count * float(np.float32(0.1)), rtol=1e-5)
 
 
-def coded(core: Any, **changes: Any) -> Any:
-    rows, atoms = np.zeros((4, 3), np.float32), np.zeros((5, 3), np.float32)
-    return core.code_rows(
-        **{"rows": rows, "atoms": atoms, "slots": 2, "swap_passes": 1, "warm": None, **changes}
-    )
+def f32(*shape: int) -> np.ndarray:
+    return np.zeros(shape, np.float32)
 
 
-def moments(core: Any, index: int = 0, n_atoms: int = 9, **changes: Any) -> Any:
-    given = {"rows": FOUR, "support": np.full((4, 2), index, np.int32), "weights": np.zeros((4, 2), np.float32),
-             "scale": np.zeros(4, np.float32), **changes}  # fmt: skip
-    return core.code_moments(*given.values(), n_atoms)
+def i32(*shape: int, value: int = 0) -> np.ndarray:
+    return np.full(shape, value, np.int32)
 
 
-FOUR, SIX = np.zeros((4, 3), np.float32), np.zeros((4, 6), np.float32)
-HOSTILE: list[Callable[[Any], Any]] = [
-    lambda core: coded(core, rows=np.zeros((4, 3))),
-    lambda core: coded(core, rows=np.zeros(3, np.float32)),
-    lambda core: coded(core, rows=SIX[:, ::2]),
-    lambda core: coded(core, rows=np.asfortranarray(FOUR)),
-    lambda core: coded(core, atoms=np.zeros((5, 2), np.float32)),
-    lambda core: coded(core, atoms=np.zeros((5, 3), np.int32)),
-    lambda core: coded(core, slots=0),
-    lambda core: coded(core, slots=65),
-    lambda core: coded(core, swap_passes=-1),
-    lambda core: coded(core, warm=np.zeros((4, 2), np.int64)),
-    lambda core: coded(core, warm=np.zeros((3, 2), np.int32)),
-    lambda core: coded(core, warm=np.full((4, 2), 5, np.int32)),
-    lambda core: core.code_similarities(FOUR, FOUR, 1, 0),
-    lambda core: core.row_products(FOUR, np.zeros((4, 4), np.float32)),
-    lambda core: moments(core, index=9),
-    lambda core: moments(core, support=np.zeros((3, 2), np.int32)),
-    lambda core: moments(core, weights=np.zeros((4, 1), np.float32)),
-    lambda core: moments(core, scale=np.zeros(2, np.float32)),
-    lambda core: moments(core, n_atoms=-1),
-    lambda core: core.solve_positive_definite(FOUR[:3].copy(), np.zeros((3, 2))),
-    lambda core: core.solve_positive_definite(np.zeros((3, 2)), np.zeros((3, 2))),
-    lambda core: core.solve_positive_definite(-np.eye(3), np.zeros((3, 2))),
-]
+FOUR = f32(4, 3)
+# By function: good arguments, and wrong ones in their place.
+HOSTILE: dict[str, tuple[tuple[Any, ...], list[dict[int, Any]]]] = {
+    "code_rows": (
+        (FOUR, f32(5, 3), 2, 1, None),
+        [
+            *({0: rows} for rows in (np.zeros((4, 3)), f32(3), f32(4, 6)[:, ::2], np.asfortranarray(FOUR))),
+            *({1: atoms} for atoms in (f32(5, 2), i32(5, 3))),
+            *({2: slots} for slots in (0, 65)),
+            {3: -1},
+            *({4: warm} for warm in (np.zeros((4, 2), np.int64), i32(3, 2), i32(4, 2, value=5))),
+        ],
+    ),
+    "code_similarities": ((f32(4, 3), f32(3, 3), 1, 0, None), [{1: FOUR}]),
+    "row_products": ((FOUR, FOUR), [{1: f32(4, 4)}]),
+    "code_moments": (
+        (FOUR, i32(4, 2), f32(4, 2), f32(4), 9),
+        [{1: i32(4, 2, value=9)}, {1: i32(3, 2)}, {2: f32(4, 1)}, {3: f32(2)}, {4: -1}],
+    ),
+    "solve_positive_definite": (
+        (np.eye(3), np.zeros((3, 2))), [{0: f32(3, 3)}, {0: np.zeros((3, 2))}, {0: -np.eye(3)}],
+    ),
+}  # fmt: skip
 
 
-def test_hostile_arrays_are_refused(core: ModuleType) -> None:
-    assert coded(core)[0].tolist() == [[-1, -1]] * 4
-    assert not moments(core)[0].any()
-    for call in HOSTILE:
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_arrays_are_refused(core: ModuleType, name: str) -> None:
+    (good, wrong), function = HOSTILE[name], getattr(core, name)
+    function(*good)
+    for changes in wrong:
         with refuses(ValueError):
-            call(core)
+            function(*(changes.get(place, argument) for place, argument in enumerate(good)))
     with pytest.raises(TypeError):
-        core.row_products("rows", FOUR)
+        function("rows", *good[1:])
 
 
 def test_empty_arrays(core: ModuleType) -> None:
-    none, some = np.zeros((0, 3), np.float32), np.ones((2, 3), np.float32)
+    none, some = f32(0, 3), np.ones((2, 3), np.float32)
     assert [array.shape for array in core.code_rows(none, some, 2, 1)] == [(0, 2), (0, 2), (0,)]
-    assert core.code_rows(some, none, 2, 1)[0].tolist() == [[-1, -1]] * 2
+    for atoms in (none, 0 * some):
+        assert core.code_rows(some, atoms, 2, 1)[0].tolist() == [[-1, -1]] * 2
     assert core.row_products(none, some).shape == (0, 2)
     assert core.row_products(some, none).shape == (2, 0)
-    within, toward = core.code_moments(
-        none, np.zeros((0, 2), np.int32), none[:, :2].copy(), none[:, 0].copy(), 2
-    )
+    within, toward = core.code_moments(none, i32(0, 2), f32(0, 2), f32(0), 2)
     assert not within.any()
     assert toward.shape == (2, 3)
 
@@ -283,7 +296,7 @@ def test_a_signal_interrupts_long_work(core: ModuleType) -> None:
     def raise_it(number: int, frame: object) -> None:
         raise TimeoutError
 
-    rows, atoms = arrays(60_000, 64, 1024)
+    rows, atoms = clip_like(60_000, 64).numpy(), clip_like(1024, 64, seed=1).numpy()
     before = signal.signal(signal.SIGALRM, raise_it)
     started = time.process_time()
     signal.setitimer(signal.ITIMER_REAL, 0.2)

@@ -11,7 +11,7 @@ import torch
 from messages import refuses
 from scoup import raster
 from scoup.coding import fit_codes
-from scoup.scene import Cameras, Gaussians, RegionMap, Regions
+from scoup.scene import Camera, Cameras, RegionMap, Regions
 from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.studies.consistency import (
@@ -21,7 +21,7 @@ from scoup_lab.evaluate.studies.consistency import (
     gap_differences,
 )
 from scoup_lab.evaluate.studies.matches import Matches, dominant_gaussians, tracked_points
-from support import make_camera, unit
+from support import gaussians_at, make_camera, unit
 
 QUICK = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
 SETTINGS = BuildSettings(n_atoms=4, k=2, effort="fast")
@@ -65,19 +65,22 @@ def test_raw_cosines_are_those_of_the_regions() -> None:
     expected = [cos[0][2], cos[0][3], (cos[1][3] + cos[1][2] + cos[3][2]) / 3]
     assert raw.cosines == pytest.approx(expected, abs=1e-5)
     assert raw.pairs == 5
+    pairs = [[("a.png", 5), ("b.png", 7)], [("a.png", 30), ("b.png", 35)], [("a.png", 2), ("b.png", 30)]]
+    for result in measured(pairs, regions):  # unmatched observations are of the same points
+        assert len(result.unmatched_cosines) == len(result.cosines) == 3
+        assert sum(result.unmatched_cosines) / 3 == pytest.approx(result.unmatched)
     assert {result.features for result in results} == FEATURES
     rows = consistency_table(results).rows
     assert len(rows) == 9 + 3
     raw = [row for row in rows if row[0] == "raw"]
     assert float(raw[-1][4]) == pytest.approx(sum(float(row[4]) for row in raw[:-1]) / 3, abs=2e-3)
+    with refuses():  # no overlap
+        measured([[("a.png", 4)]], regions)
 
 
 def test_each_kind_of_feature_is_compared_between_the_observations_of_a_point() -> None:
-    """Three upright stripes, each seen in two views; six embeddings.
-
-    Four atoms, one a region, cannot tell six embeddings apart, nor can three numbers and a small network: what is
-    decoded differs from the embeddings. The cosines of the three pairs differ too, so none may be mixed up.
-    """
+    """Three stripes, each seen in two views, with six embeddings, which neither four atoms nor three numbers and a
+    small network can tell apart: what is decoded differs. So do the cosines of the pairs: none may be mixed up."""
     rows = unit(torch.randn(6, 16, generator=torch.Generator().manual_seed(1)))
     labels = (torch.arange(40) // 14).int().repeat(30, 1)
     points = [[("a.png", column), ("b.png", column + 40)] for column in (3, 20, 35)]
@@ -118,21 +121,22 @@ def test_points_of_a_model_are_observed_where_they_project_to(tmp_path: Path) ->
     tracks = zip(positions.tolist(), ("1 0 2 0", "2 0 3 0"), strict=True)
     lines = [f"{number} {x} {y} {z} 0 0 0 0.1 {track}" for number, ((x, y, z), track) in enumerate(tracks, 1)]
     (tmp_path / "points3D.txt").write_text("\n".join(lines))
-    (tmp_path / "images.txt").write_text(
-        "".join(f"{n} 1 0 0 0 0 0 0 1 {camera.name}\n1 1 -1\n" for n, camera in enumerate(cameras, 1))
-    )
+    images = (f"{n} 1 0 0 0 0 0 0 1 {name}\n1 1 -1\n" for n, name in enumerate(cameras.names, 1))
+    (tmp_path / "images.txt").write_text("".join(images))
+
+    def observed(camera: Camera, position: torch.Tensor) -> tuple[str, int]:
+        x, y, z = (camera.viewmat[:3, :3].float() @ position + camera.viewmat[:3, 3].float()).tolist()
+        column, row = int(camera.fx * x / z + camera.cx), int(camera.fy * y / z + camera.cy)
+        return camera.name, row * camera.width + column
+
+    a, b, c = cameras
     matches = tracked_points(tmp_path, cameras)
     assert matches is not None
-    expected = []
-    for position, names in zip(positions, (("a.png", "b.png"), ("b.png", "c.png")), strict=True):
-        point = []
-        for name in names:
-            camera = cameras[name]
-            x, y, z = (camera.viewmat[:3, :3].float() @ position + camera.viewmat[:3, 3].float()).tolist()
-            column, row = int(camera.fx * x / z + camera.cx), int(camera.fy * y / z + camera.cy)
-            point.append((name, row * camera.width + column))
-        expected.append(point)
-    assert matches.points == expected
+    first, second = positions
+    assert matches.points == [
+        [observed(a, first), observed(b, first)],
+        [observed(b, second), observed(c, second)],
+    ]
 
 
 def test_the_table_shows_the_difference_that_counts() -> None:
@@ -144,8 +148,7 @@ def test_the_table_shows_the_difference_that_counts() -> None:
     ]
     rows = gap_differences(results)
     assert [row[:3] for row in rows] == [("hall", "m", "autoencoder"), ("hall", "m", "sparse codes")]
-    means = [row[3].mean for row in rows]
-    assert means == pytest.approx([0.02 - 0.2, 0.3 - 0.2])
+    assert [row[3].mean for row in rows] == pytest.approx([0.02 - 0.2, 0.3 - 0.2])
     assert rows[1][3].low == pytest.approx(0.1)  # of both points alike, so the interval has no extent
     shown = {row[0]: row[-1] for row in consistency_table(results).rows if row[1] == "hall"}
     assert shown["raw"] == "-"
@@ -153,40 +156,15 @@ def test_the_table_shows_the_difference_that_counts() -> None:
     assert shown["sparse codes"] == "+0.100 [+0.100, +0.100]"
 
 
-def test_unmatched_observations_are_of_the_same_points() -> None:
-    points = [[("a.png", 5), ("b.png", 7)], [("a.png", 30), ("b.png", 35)], [("a.png", 2), ("b.png", 30)]]
-    for result in measured(points, halves(2)[1]):
-        assert len(result.unmatched_cosines) == len(result.cosines) == 3
-        assert sum(result.unmatched_cosines) / 3 == pytest.approx(result.unmatched)  # a pair a point
-
-
-def test_no_overlap() -> None:
-    with refuses():
-        measured([[("a.png", 4)]], halves(0)[1])
-
-
-def blobs(means: list[list[float]], opacities: list[float]) -> Gaussians:
-    count = len(means)
-    quats = torch.tensor([[1.0, 0, 0, 0]] * count)
-    return Gaussians(
-        torch.tensor(means),
-        quats,
-        torch.full((count, 3), 0.2),
-        torch.tensor(opacities),
-        torch.zeros(count, 1, 3),
-    )
-
-
 def test_gaussians_match_where_they_dominate() -> None:
     """The second hides behind the first, the third is faint."""
-    scene = blobs([[0.0, 0.0, 3.0], [0.0, 0.0, 5.0], [1.0, 0.0, 4.0]], [0.9, 0.9, 0.3])
+    scene = gaussians_at(torch.tensor([[0.0, 0, 3], [0, 0, 5], [1, 0, 4]]), 0.2)
+    scene = replace(scene, opacities=torch.tensor([0.9, 0.9, 0.3]))
     centre = 15 * 40 + 20
     assert dominant_gaussians(scene, list(CAMERAS)).points == [[("a.png", centre), ("b.png", centre)]]
     weights = raster.render_channels(raster.project(scene, CAMERAS[0]), torch.eye(3))[0][15, 20]
     assert weights[0] > 0.5 > weights[1]
-
-
-def test_each_gaussian_is_a_point_of_its_own() -> None:
-    found = dominant_gaussians(blobs([[-1.0, 0.0, 4.0], [1.0, 0.5, 4.0]], [0.9, 0.9]), list(CAMERAS))
+    two = gaussians_at(torch.tensor([[-1.0, 0, 4], [1, 0.5, 4]]), 0.2)  # each is a point of its own
     pixels = [15 * 40 + 11, (15 + 4) * 40 + 29]  # 36 / 4 pixels aside, 39.6 / 8 below
-    assert found.points == [[("a.png", pixel), ("b.png", pixel)] for pixel in pixels]
+    expected = [[("a.png", pixel), ("b.png", pixel)] for pixel in pixels]
+    assert dominant_gaussians(two, list(CAMERAS)).points == expected

@@ -1,58 +1,78 @@
-"""Every study on scenes of random regions, in memory: which rows there are, and what must be equal."""
+"""Every study on scenes of random regions, in memory: which rows there are, and what must be equal.
+
+All of them compare with the four canonical phrases and nothing else, however many other words there are.
+"""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from evaluate.study_scenes import LABELS, study_scene
 from messages import refuses
 from scoup import raster
-from scoup.query import TextVectors
-from scoup.scene import Regions, SparseCodes
+from scoup.base import UnknownNameError
+from scoup.models import CANONICAL_PHRASES, WordTable
+from scoup.query import build
+from scoup.scene import SparseCodes
 from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
-from scoup_lab.baselines.fitted import FittedField
-from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
+from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.evaluate import pixel_evaluation
+from scoup_lab.evaluate.label_vectors import encode_labels
+from scoup_lab.evaluate.pixel_evaluation import predict
+from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MASK_RULES
-from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
+from scoup_lab.evaluate.studies.ablation_rows import (
+    ABLATIONS,
+    BASE,
+    BESIDE_EVERYDAY,
+    Ablation,
+    find_ablations,
+)
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison, comparison_table
 from scoup_lab.evaluate.studies.consistency import Consistency
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
-from support import unit
+from support import small_scene, unit
 
+LABELS = ("cup", "pot")
+OTHER_WORDS = (*(f"word {number}" for number in range(30)), *CANONICAL_PHRASES)
 RULE = MASK_RULES["scoup"]
 SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3))
 
 
-def vectors(*texts: str, seed: int = 0) -> TextVectors:
-    """Random unit vectors, with twenty everyday words."""
-    generator = torch.Generator().manual_seed(seed)
-    queries, canonical, everyday = (
-        unit(torch.randn(count, 16, generator=generator)) for count in (len(texts), 4, 20)
-    )
-    return TextVectors(texts, queries, canonical, everyday, "random")
-
-
 def make_study_scene(seed: int, folder: Path) -> StudyScene:
-    """The vector of each label is that of its region."""
-
-    def of_regions(labelled: LabelledScene, regions: Regions) -> TextVectors:
-        rows = regions.load(labelled.frames[0][1].name, "m").embeddings[:2]
-        return replace(vectors(*LABELS, seed=seed), queries=unit(rows))
-
-    return study_scene(f"scene {seed}", folder, of_regions, seed)
+    """Four views, two of them labelled: each label is a region of the middle level and has its vector."""
+    gaussians, cameras, regions = small_scene(120, seed=seed)
+    frames = []
+    for camera in list(cameras)[:2]:
+        found = regions.load(camera.name, "m").labels
+        masks = {label: found == number for number, label in enumerate(LABELS)}
+        boxes = {label: torch.tensor([[0.0, 0.0, 39.0, 29.0]]) for label in LABELS}
+        frames.append((LabelledFrame(camera.name, 40, 30, masks, boxes), camera))
+    of_regions = regions.load(cameras[0].name, "m").embeddings[:2]
+    others = torch.randn(len(OTHER_WORDS), 16, generator=torch.Generator().manual_seed(seed))
+    WordTable.save(folder / "text.npz", (*LABELS, *OTHER_WORDS), torch.cat([of_regions, others]))
+    labelled = LabelledScene(f"scene {seed}", folder, folder, folder, cameras, PROTOCOL, frames)
+    vectors = encode_labels(labelled, str(folder / "text.npz"))
+    return StudyScene(labelled, vectors, RasterisedScene(gaussians, cameras, regions))
 
 
 @pytest.fixture(scope="module")
@@ -60,15 +80,77 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StudyScene]:
     return [make_study_scene(seed, tmp_path_factory.mktemp(f"scene{seed}")) for seed in (0, 1)]
 
 
+class Recorder:
+    """A ``FittedMethod`` that keeps what it was compared with."""
+
+    def __init__(self, fitted: FittedMethod, given: list[Tensor]) -> None:
+        self.fitted, self.given = fitted, given
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("relevancy", "gaussian_relevancy"):
+            return getattr(self.fitted, name)
+
+        def recorded(*arguments: Any) -> Tensor:
+            self.given.append(arguments[2 if name == "relevancy" else 1])
+            return getattr(self.fitted, name)(*arguments)
+
+        return recorded
+
+
+def recording(method: Method) -> tuple[Method, list[Tensor]]:
+    """The method, and what it will be compared with."""
+    given: list[Tensor] = []
+
+    def uplift(inputs: UpliftInputs, settings: MethodSettings) -> Any:
+        return Recorder(method.uplift(inputs, settings), given)
+
+    return replace(method, uplift=uplift), given
+
+
+def check_phrases(given: list[Tensor], scene: StudyScene) -> None:
+    canonical = torch.from_numpy(WordTable.load(scene.labelled.splat / "text.npz").vectors[-4:])
+    assert given
+    for each in given:
+        torch.testing.assert_close(each, canonical, atol=1e-6, rtol=0)
+
+
+def test_evaluation_of_fields(scenes: list[StudyScene], monkeypatch: pytest.MonkeyPatch) -> None:
+    """In 2D and by selection."""
+    scene, rasterised = scenes[0], scenes[0].rasterised
+    assert len(scene.vectors.everyday) == len(LABELS) + 30
+    assert len(scene.vectors.with_everyday().canonical) == 5  # there are enough words for a fifth
+    built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=SETTINGS.build)
+    recorder: Any = Recorder(FittedField(built), [])
+    monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
+    maps = list(predict(scene.labelled, scene.vectors, built))
+    assert len(maps) == len(recorder.given) == 2
+    selection.score_method(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
+    assert len(recorder.given) == 4
+    check_phrases([scene.vectors.canonical, *recorder.given], scene)
+    for frame, found in maps:
+        camera = rasterised.cameras[frame.name]
+        expected = built.relevancy(camera, scene.vectors.of(frame.labels), scene.vectors.canonical)
+        torch.testing.assert_close(found.float(), expected, atol=2e-3, rtol=0)
+
+
+def test_ablations_but_for_the_row_about_everyday_words(scenes: list[StudyScene]) -> None:
+    settings = (RULE, (0,), 2)
+    method, given = recording(BASE)
+    rows = [replace(each, method=method) for each in find_ablations(["levels"]) if each.method is BASE]
+    Ablations(rows, *settings).results(scenes[:1])
+    check_phrases(given, scenes[0])
+    given.clear()
+    Ablations([Ablation("everyday", "phrases", method, BESIDE_EVERYDAY)], *settings).results(scenes[:1])
+    assert {len(each) for each in given} == {5}
+
+
 def check_report(report: Report, folder: Path) -> dict[str, Any]:
     """All of it can be written, and nothing is empty; the JSON, which holds the tables too."""
     assert all(table.rows for table in report.tables)
-    written = report.write(folder)
-    assert len(written) == 3
+    assert len(report.write(folder)) == 3
     record = json.loads((folder / f"{report.stem}.json").read_text())
-    assert [table["rows"] for table in record["tables"]] == [
-        [list(row) for row in t.rows] for t in report.tables
-    ]
+    for written, table in zip(record["tables"], report.tables, strict=True):
+        assert written["rows"] == [list(row) for row in table.rows]
     return record
 
 
@@ -82,15 +164,18 @@ def check_pairs(record: dict[str, Any], ious: list[float], miou: float) -> None:
 
 
 def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
-    methods = [METHODS[name] for name in ("sparse", "dense", "centre-pixel")]
+    names = ("sparse", "dense", "centre-pixel", "top-45-contributors")
+    methods, given = zip(*(recording(METHODS[name]) for name in names), strict=True)
     study = Comparison(methods, RULE, tmp_path / "kept", SETTINGS, selection=True)
     results = study.results(scenes)
-    assert [(result.method, result.score.scene) for result in results] == [
-        (method.name, scene.name) for scene in scenes for method in methods
+    assert [(result.score.scene, result.method) for result in results] == [
+        *product(("scene 0", "scene 1"), names)
     ]
+    for each in given:
+        check_phrases(each[: len(each) // 2], scenes[0])
+        check_phrases(each[len(each) // 2 :], scenes[1])
     for result in results:
-        assert result.fit_seconds > 0
-        assert result.query_seconds > 0
+        assert min(result.fit_seconds, result.query_seconds) > 0
         assert result.selected is not None
     report = study.report(results, PROTOCOL.title, {"seed": 0})
     assert len(report.tables) == 3
@@ -104,11 +189,13 @@ def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
 
 def test_results_are_kept_until_something_changes(scenes: list[StudyScene], tmp_path: Path) -> None:
     lines: list[str] = []
-    methods = [METHODS["centre-pixel"], METHODS["autoencoder"]]
+    autoencoder, given = recording(METHODS["autoencoder"])
+    methods = [METHODS["centre-pixel"], autoencoder]
     quick = AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,))
     study = Comparison(methods, RULE, tmp_path, replace(SETTINGS, autoencoder=quick), True, lines.append)
     stages: list[str] = []
     first = study.results(scenes[:1], lambda stage, *_: stages.append(stage))
+    check_phrases(given, scenes[0])
     assert {"compare", "autoencoder"} == set(stages)
     title = "autoencoder (2 of 100 epochs)"
     assert [result.method for result in first] == ["centre-pixel", title]
@@ -130,13 +217,12 @@ def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScen
     calls: list[str] = []
     sparse = METHODS["sparse"]
 
-    def uplift(inputs, settings):
+    def uplift(inputs: UpliftInputs, settings: MethodSettings) -> Any:
         calls.append("kept" if inputs.kept_codes else "new")
         return sparse.uplift(inputs, settings)
 
-    Comparison(
-        [replace(sparse, name=name, uplift=uplift) for name in "ab"], RULE, tmp_path, SETTINGS
-    ).results(scenes[:1])
+    methods = [replace(sparse, name=name, uplift=uplift) for name in "ab"]
+    Comparison(methods, RULE, tmp_path, SETTINGS).results(scenes[:1])
     assert calls == ["new", "new"]
 
 
@@ -180,14 +266,14 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     rules = {"kept": ScoringRule(RULE), "dropped": row.rule(RULE)}
     assert isinstance(fitted, FittedField)
     gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
-    for (frame, maps), (_, camera) in zip(
-        scene.maps(fitted, rules.values()), scene.labelled.frames, strict=True
-    ):
+    drawn = scene.maps(fitted, rules.values())
+    for (frame, maps), (_, camera) in zip(drawn, scene.labelled.frames, strict=True):
         queries, canonical = scene.vectors.of(frame.labels), scene.vectors.canonical
         for level, coded in enumerate(fitted.coded()):
             assert 0 < int(coded.sum()) < len(gaussians)
             indices, weights = (
-                part[coded, level] for part in (fitted.field.code_indices, fitted.field.code_weights)
+                fitted.field.code_indices[coded, level],
+                fitted.field.code_weights[coded, level],
             )
             codes = SparseCodes(indices, weights.float(), codebook.shape[1])
             projection = raster.project(gaussians.select(coded), camera)
@@ -209,3 +295,28 @@ def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
     report = study.report(study.results(scenes[:1]), PROTOCOL.title, {})
     assert report.record["matched_by"] == {"scene 0": "Gaussians"}
     check_report(report, tmp_path)
+
+
+def test_rows_of_the_ablations_and_their_rules() -> None:
+    rules = {each.name: each.rule(RULE) for each in ABLATIONS}
+    assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
+    assert [name for name, rule in rules.items() if rule.coded] == [
+        "without the 50 % of highest entropy, dropped from blending",
+        "without the 50 % of lowest entropy, dropped from blending",
+    ]
+    assert rules["level by mask"].mask_rule.level_choice == "mask"
+    assert rules["only level m"].levels == ("m",)
+    assert rules["beside everyday words"].mask_rule == RULE
+    names = [each.name for each in ABLATIONS]
+    assert len(set(names)) == len(names)
+    assert {each.published for each in ABLATIONS} - {""} == set(PUBLISHED)
+    uplifts = [each.method.uplift for each in ABLATIONS if isinstance(each.method.uplift, SparseUplift)]
+    sizes = {(each.changes.get("n_atoms"), each.changes.get("k", 4)) for each in uplifts}
+    assert {(32, 4), (64, 4), (128, 4), (64, 2), (64, 8)} <= sizes
+    chosen = find_ablations(["atoms"])
+    assert chosen[0].name == ABLATIONS[0].name
+    assert {each.group for each in chosen[1:]} == {"atoms"}
+    assert find_ablations([]) == list(ABLATIONS)
+    assert [each.name for each in ABLATIONS if each.is_base] == [ABLATIONS[0].name]
+    with refuses(UnknownNameError):
+        find_ablations(["atom"])

@@ -25,7 +25,6 @@ from scoup.extract.automatic_masks import (
     point_grid,
     touches_inner_edge,
 )
-from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
 from scoup.models import open_sam
 from support import examples
@@ -41,25 +40,26 @@ class MadeUp:
     """A point model whose answers are blobs around the points, with random quality: many overlaps, many ties."""
 
     def __init__(self, seed: int, small: int = 24) -> None:
-        self.seed = seed
-        self.small = small
+        self.seed, self.small = seed, small
+        self.asked: list[list[float]] = []
 
     def to_dict(self) -> dict[str, Any]:
         return {"segmenter": "made up", "seed": self.seed}
 
     def encode(self, image: np.ndarray) -> MadeUpImage:
-        return MadeUpImage(image, self.seed, self.small)
+        return MadeUpImage(image, self)
 
 
 class MadeUpImage:
-    def __init__(self, image: np.ndarray, seed: int, small: int) -> None:
-        self.size, self.small = image.shape[:2], small
-        self.seed = seed + int(image.astype(np.int64).sum()) % 1000
+    def __init__(self, image: np.ndarray, model: MadeUp) -> None:
+        self.size, self.small, self.asked = image.shape[:2], model.small, model.asked
+        self.seed = model.seed + int(image.astype(np.int64).sum()) % 1000
         rng = np.random.default_rng(self.seed)
-        self.noise = ndimage.gaussian_filter(rng.normal(size=(small, small)), 2) * 8
+        self.noise = ndimage.gaussian_filter(rng.normal(size=(self.small, self.small)), 2) * 8
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Deterministic in the point alone: other batches change nothing."""
+        self.asked += points.tolist()
         masks, quality = [], []
         rows, columns = np.mgrid[: self.small, : self.small] + 0.5
         for x, y in points.tolist():
@@ -67,10 +67,8 @@ class MadeUpImage:
             px, py = x / self.size[1] * self.small, y / self.size[0] * self.small
             distance = np.hypot(rows - py, columns - px)
             radii = np.sort(rng.uniform(0.5, self.small * 0.7, 3))
-            fields = [
-                radius - distance + self.noise + rng.normal(size=distance.shape) * 0.3 for radius in radii
-            ]
-            masks.append(np.stack(fields))
+            noise = rng.normal(size=(3, *distance.shape)) * 0.3
+            masks.append(radii[:, None, None] - distance + self.noise + noise)
             quality.append(rng.integers(8, 21, 3) / 20)
         return torch.from_numpy(np.stack(masks)).float(), torch.from_numpy(np.stack(quality)).float()
 
@@ -137,26 +135,6 @@ def test_tiny_models(kind: str, tmp_path) -> None:
     assert sum(counts.values()) >= 2
 
 
-class Recorded(MadeUp):
-    """Keeps the points that were asked for, and the model's answers to them."""
-
-    def __init__(self, seed: int) -> None:
-        super().__init__(seed)
-        self.asked: list[tuple[Tensor, Tensor, Tensor]] = []
-
-    def encode(self, image: np.ndarray) -> MadeUpImage:
-        encoded = super().encode(image)
-        predict = encoded.predict
-
-        def recorded(points: Tensor) -> tuple[Tensor, Tensor]:
-            answer = predict(points)
-            self.asked.append((points, *answer))
-            return answer
-
-        encoded.predict = recorded
-        return encoded
-
-
 @settings(max_examples=examples(15))
 @given(st.integers(0, 2**31), st.integers(1, 20), st.sampled_from([1, 3, 100]))
 def test_points_with_known_masks_are_left_out_and_no_others(seed: int, side: int, batch: int) -> None:
@@ -165,14 +143,11 @@ def test_points_with_known_masks_are_left_out_and_no_others(seed: int, side: int
         LIVELY, points_per_side=side, points_per_batch=batch, crop_layers=0,
         coarse_filters=True, by_need=True,
     )  # fmt: skip
-    model = Recorded(seed)
-    image = smooth_image(height, width, seed)
+    model, image = MadeUp(seed), smooth_image(height, width, seed)
     found = automatic_masks(image, model, chosen)
-    asked = [tuple(point) for points, _, _ in model.asked for point in points.tolist()]
     wanted: list[tuple[float, float]] = []
-    small, large = np.zeros(
-        (2, 24, 24), np.int64
-    )  # over each pixel: masks of level s; of points without one, smallest
+    # Over each pixel: masks of level s; of points without one, the smallest.
+    small, large = np.zeros((2, 24, 24), np.int64)
     rounds = coarse_to_fine(side)
     for number, points in enumerate(rounds):
         fresh = []
@@ -191,7 +166,7 @@ def test_points_with_known_masks_are_left_out_and_no_others(seed: int, side: int
                     counts = large if level else small
                     counts += mask > 0
                     break
-    np.testing.assert_allclose(asked, wanted)
+    np.testing.assert_allclose(model.asked, wanted)
     whole = automatic_masks(image, MadeUp(seed), replace(chosen, points_per_batch=50))
     assert all((found[level].dense() == whole[level].dense()).all() for level in found)
 
@@ -238,13 +213,8 @@ def test_grids_and_crops() -> None:
     np.testing.assert_allclose(grid[0], [1 / 64, 1 / 64])
     np.testing.assert_allclose(grid[1], [3 / 64, 1 / 64])
     # SAM's own numbers for 1080 x 1440: overlap 368, crops of 904 x 724.
-    assert crop_boxes(1080, 1440, 1, 512 / 1500) == [
-        (0, 0, 1440, 1080),
-        (0, 0, 904, 724),
-        (0, 356, 904, 1080),
-        (536, 0, 1440, 724),
-        (536, 356, 1440, 1080),
-    ]
+    crops = [(left, top, left + 904, top + 724) for left in (0, 536) for top in (0, 356)]
+    assert crop_boxes(1080, 1440, 1, 512 / 1500) == [(0, 0, 1440, 1080), *crops]
     assert len(crop_boxes(500, 400, 2, 0.3)) == 1 + 4 + 16
     boxes = np.random.default_rng(0).integers(0, 300, (200, 4))
     crop = (100, 0, 380, 260)
@@ -263,10 +233,9 @@ def test_settings_and_records() -> None:
     ):  # fmt: skip
         with refuses():
             mask_settings(preset, **changes)  # pyright: ignore[reportArgumentType]
-    one = SamSegmenter(MadeUp(1), faithful).to_dict()
+    one, other, fast = (
+        SamSegmenter(MadeUp(1), chosen).to_dict()
+        for chosen in (faithful, replace(faithful, points_per_batch=9), mask_settings("fast"))
+    )
+    assert one == other != fast  # how many at a time decides only memory
     assert one["seed"] == 1
-    assert (
-        one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).to_dict()
-    )  # decides only memory
-    assert one != SamSegmenter(MadeUp(1), mask_settings("fast")).to_dict()
-    assert isinstance(automatic_masks(smooth_image(20, 20), MadeUp(1), LIVELY)["s"], Masks)

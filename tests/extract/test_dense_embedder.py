@@ -38,10 +38,9 @@ def test_regions_are_pooled_over_the_places_that_they_cover(folder: Path, size: 
     torch.testing.assert_close(found["s"].norm(dim=1), torch.ones(len(dense)))
     # By hand: the scaled photograph's tokens, and the mask's share of each.
     rows, columns = (round(length * 8 / min(size)) for length in size)
-    scaled = torch.nn.functional.interpolate(
-        image.permute(2, 0, 1)[None].float() / 255, (rows * 8, columns * 8), mode="bilinear", antialias=True
-    )[0]
-    tokens = embedder.model.tokens(scaled)
+    pixels, scaled = image.permute(2, 0, 1)[None].float() / 255, (rows * 8, columns * 8)
+    pixels = torch.nn.functional.interpolate(pixels, scaled, mode="bilinear", antialias=True)
+    tokens = embedder.model.tokens(pixels[0])
     assert tokens.shape[:2] == (rows, columns)
     for number in (0, len(dense) - 1):
         shares = torch.zeros(1, rows, columns)
@@ -50,9 +49,8 @@ def test_regions_are_pooled_over_the_places_that_they_cover(folder: Path, size: 
                 y0, y1 = row * size[0] // rows, -(-(row + 1) * size[0] // rows)
                 x0, x1 = column * size[1] // columns, -(-(column + 1) * size[1] // columns)
                 shares[0, row, column] = float(dense[number, y0:y1, x0:x1].mean())
-        torch.testing.assert_close(
-            found["s"][number], embedder.model.pool(tokens, shares)[0], atol=1e-5, rtol=1e-4
-        )
+        expected = embedder.model.pool(tokens, shares)[0]
+        torch.testing.assert_close(found["s"][number], expected, atol=1e-5, rtol=1e-4)
 
 
 def test_an_extraction_with_it_names_the_model_for_texts(folder: Path, tmp_path: Path) -> None:

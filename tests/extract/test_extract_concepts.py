@@ -61,8 +61,7 @@ def test_detections_are_stored_and_resumed(photographs: Path, tmp_path: Path) ->
     for other in ((Corner(2), ["mug", "cup"]), (Corner(), ["mug"])):
         with refuses():
             extract_concepts(found, folder, *other)
-    renewed = extract_concepts(found, folder, Corner(2), ["pen"], overwrite=True)
-    assert len(renewed.made) == 2
+    assert len(extract_concepts(found, folder, Corner(2), ["pen"], overwrite=True).made) == 2
     with refuses():
         extract_concepts(found, folder, model, [])
 

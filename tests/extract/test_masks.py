@@ -57,9 +57,8 @@ def test_box_suppression(seed: int, count: int, limit: float) -> None:
     start = rng.integers(0, 20, (count, 2))
     boxes = np.concatenate([start, start + rng.integers(0, 12, (count, 2))], axis=1)  # some without area
     scores = rng.integers(0, 5, count) / 4  # many ties
-    assert keep_by_boxes(boxes, scores, limit).tolist() == box_suppression(
-        boxes.tolist(), scores.tolist(), limit
-    )
+    expected = box_suppression(boxes.tolist(), scores.tolist(), limit)
+    assert keep_by_boxes(boxes, scores, limit).tolist() == expected
 
 
 @given(mask_stacks(), st.integers(0, 2**31))

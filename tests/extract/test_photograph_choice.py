@@ -56,8 +56,7 @@ def test_the_number_follows_from_the_scene(monkeypatch: pytest.MonkeyPatch, few:
     found = rank_views(DWELL, ball(), SHARP)
     assert {10, 11, 12} < set(found)
     assert max(4, few) <= len(found) < 10
-    twice = rank_views(DWELL, ball(), SHARP, there=found)
-    assert twice == found
+    assert rank_views(DWELL, ball(), SHARP, there=found) == found
 
 
 def test_more_are_beside_those_there() -> None:
@@ -83,10 +82,8 @@ def test_blurred_photographs_lose_to_sharp_neighbours() -> None:
 
 
 def test_cameras_that_see_nothing_are_refused() -> None:
-    away = [
-        replace(camera, viewmat=torch.diag(torch.tensor([1.0, -1, -1, 1])).double() @ camera.viewmat)
-        for camera in DWELL
-    ]
+    turned = torch.diag(torch.tensor([1.0, -1, -1, 1])).double()
+    away = [replace(camera, viewmat=turned @ camera.viewmat) for camera in DWELL]
     with refuses():
         rank_views(away, ball(), SHARP, 4)
     with refuses():

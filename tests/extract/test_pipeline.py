@@ -18,7 +18,6 @@ from messages import refuses, warns
 from scoup.base import Part, ScoupError, ScoupWarning
 from scoup.extract import (
     Masks,
-    MaskSettings,
     extract,
     find_photographs,
     open_embedder,
@@ -27,6 +26,7 @@ from scoup.extract import (
 )
 from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
+from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
 from scoup.io.regions.manifest import MANIFEST, write_manifest
 from scoup.models.plain_colors import PlainColors
@@ -36,19 +36,21 @@ from tiny_models import saved, tiny_clip, tiny_sam2
 
 
 class Blocks:
-    """A quick segmenter: squares of three sizes."""
+    """A quick segmenter: squares of three sizes; interrupted once it has segmented some photographs, if asked to."""
 
     cut_last = False
     drop_hidden = False
 
-    def __init__(self, side: int = 8) -> None:
+    def __init__(self, side: int = 8, interrupted_after: int | None = None) -> None:
         self.side = side
-        self.calls = 0
+        self.calls, self.most = 0, interrupted_after
 
     def to_dict(self) -> dict[str, object]:
         return {"segmenter": "blocks", "side": self.side}
 
     def segment(self, image: np.ndarray) -> dict[str, Masks]:
+        if self.calls == self.most:
+            raise KeyboardInterrupt
         self.calls += 1
         result = {}
         for number, level in enumerate(LEVELS):
@@ -57,19 +59,6 @@ class Blocks:
             labels = rows[:, None] * (columns.max() + 1) + columns[None]
             result[level] = Masks.from_labels(labels.astype(np.int32))
         return result
-
-
-class Stops(Blocks):
-    """One that is interrupted at its third photograph, or another."""
-
-    def __init__(self, side: int = 8, after: int = 2) -> None:
-        super().__init__(side)
-        self.after = after
-
-    def segment(self, image: np.ndarray) -> dict[str, Masks]:
-        if self.calls == self.after:
-            raise KeyboardInterrupt
-        return super().segment(image)
 
 
 def scene(folder: Path, count: int = 4) -> tuple[Path, Cameras]:
@@ -104,9 +93,9 @@ def test_regions_are_read_back(tmp_path: Path) -> None:
 
 def test_what_is_masked_gets_no_regions(tmp_path: Path) -> None:
     folder, cameras = scene(tmp_path, 1)
-    Image.fromarray(np.where(np.arange(20) < 12, 0, 255)[None].repeat(30, 0).astype(np.uint8)).save(
-        tmp_path / "m.png"
-    )
+    mask = np.zeros((30, 20), np.uint8)
+    mask[:, 12:] = 255
+    Image.fromarray(mask).save(tmp_path / "m.png")
     photograph = Photograph("0.png", folder / "images" / "0.png", tmp_path / "m.png")
     extract([photograph], folder / "language_features", Blocks(), PlainColors())
     item = scoup.load_regions(folder, cameras).load("0.png", "s")
@@ -118,14 +107,15 @@ def test_what_is_masked_gets_no_regions(tmp_path: Path) -> None:
 def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path)
     photographs = find_photographs(folder)
-    whole = tmp_path / "whole"
-    extract(photographs, whole, Blocks(), PlainColors())
-    out = tmp_path / "out"
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    seen: list[tuple[int, int]] = []
+    extract(photographs, whole, Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
+    assert seen == [(done, 4) for done in range(5)]
     with pytest.raises(KeyboardInterrupt):
-        extract(photographs, out, Stops(), PlainColors())
-    before = snapshot(out)
-    segmenter = Blocks()
-    report = extract(photographs, out, segmenter, PlainColors())
+        extract(photographs, out, Blocks(interrupted_after=2), PlainColors())
+    before, segmenter = snapshot(out), Blocks()
+    report = extract(photographs, out, segmenter, PlainColors(), progress=lambda _, *at: seen.append(at))
+    assert seen[5:] == [(2, 4), (3, 4), (4, 4)]
     assert (len(report.made), report.kept, segmenter.calls) == (2, 2, 2)
     after = snapshot(out)
     assert {name: after[name] for name in before} == before  # nothing is done twice
@@ -160,7 +150,7 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
     assert snapshot(out) == before
     # Given up for other settings, and interrupted: what is left of the old ones does not count.
     with pytest.raises(KeyboardInterrupt):
-        extract(photographs, out, Stops(16, 1), PlainColors(), overwrite=True)
+        extract(photographs, out, Blocks(16, interrupted_after=1), PlainColors(), overwrite=True)
     with warns(ScoupWarning):
         assert scoup.load_regions(out, cameras).view_names == ("0.png",)
     report = extract(photographs, out, Blocks(16), PlainColors())
@@ -233,24 +223,11 @@ def test_memory_does_not_grow_with_the_number_of_photographs(tmp_path: Path) -> 
     assert peaks[1] < peaks[0] + 8 * 200 * 300 * 3
 
 
-def test_progress_counts_every_photograph(tmp_path: Path) -> None:
-    folder, _ = scene(tmp_path)
-    seen: list[tuple[int, int]] = []
-    photographs = find_photographs(folder)
-    extract(photographs[:2], tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
-    extract(photographs, tmp_path / "o", Blocks(), PlainColors(), progress=lambda _, *at: seen.append(at))
-    assert seen == [(0, 2), (1, 2), (2, 2), (2, 4), (3, 4), (4, 4)]
-
-
 def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypatch) -> None:
     """A hub model may move on between two runs: the second must not use another one for the rest."""
-    opened: list[tuple[str, str | None]] = []
-    monkeypatch.setattr(
-        registry, "open_segmenter", lambda name, s, revision, *rest: opened.append((name, revision))
-    )
-    monkeypatch.setattr(
-        registry, "open_embedder", lambda name, revision, *rest: opened.append((name, revision))
-    )
+    opened: list[str | None] = []
+    monkeypatch.setattr(registry, "open_segmenter", lambda _, s, revision, *rest: opened.append(revision))
+    monkeypatch.setattr(registry, "open_embedder", lambda _, revision, *rest: opened.append(revision))
     record = {
         "segmenter": "facebook/sam-vit-huge", "segmenter_revision": "abc",
         "embedder": "some/clip", "embedder_revision": "",
@@ -258,8 +235,7 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
     write_manifest(tmp_path, RegionManifest("some/clip", record))
     for name, resumed in (("h", tmp_path), ("b", tmp_path), ("h", None), ("h", tmp_path / "nowhere")):
         registry.open_pair(f"sam-vit-{name}", "some/clip", MaskSettings(), resumed=resumed)
-    assert [revision for _, revision in opened[::2]] == ["abc", None, None, None]
-    assert [revision for _, revision in opened[1::2]] == [None] * 4
+    assert opened == ["abc", *[None] * 7]
 
 
 def test_parts_make_together_what_one_makes_alone(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from messages import refuses
 from raster.parity import needs_native
-from scoup.field import code_sums, inverse_code_norms, relevancy
-from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores
+from scoup.field import code_sums, relevancy
+from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
 from scoup.raster import cosines_from_codes
 from scoup.scene import SparseCodes
 from support import examples, threads_of_torch, unit

@@ -1,7 +1,8 @@
-"""Fields with things: kept in files, chosen rows, and what does not fit."""
+"""Things of a field: what is refused, what they say of themselves, in files and of chosen rows."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,11 @@ import torch
 from field_files import parts_of
 from messages import refuses
 from planted_wall import SETTINGS, planted_wall
-from scoup.field import Field
-from scoup.field.checks import MOST_THINGS
-from scoup.field.thing_table import NO_THING, ThingTable
+from scoup.field import MOST_THINGS, NO_THING, Field, ThingTable
+from scoup.field.thing_table import LEAST_SPREAD, SURE_REGIONS, TENSORS
 from scoup.query import LanguageField
 from scoup.uplift import build
 from support import altered
-
-PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", "mass", "stability")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +27,7 @@ def field() -> LanguageField:
     built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS)
     owners = things_of(built).owners.clone()
     owners[::7, 0] = owners[::11, 1] = NO_THING
-    return with_things(built, replace(things_of(built), owners=owners))
+    return altered(built, thing_table=replace(things_of(built), owners=owners))
 
 
 def things_of(field: Field) -> ThingTable:
@@ -37,14 +35,8 @@ def things_of(field: Field) -> ThingTable:
     return field.thing_table
 
 
-def with_things(field: Field, things: ThingTable | None) -> LanguageField:
-    return altered(field, thing_table=things)
-
-
 def assert_same(one: ThingTable | None, other: ThingTable | None) -> None:
-    assert one is not None
-    assert other is not None
-    for name in PARTS:
+    for name in TENSORS:
         mine, theirs = getattr(one, name), getattr(other, name)
         assert mine.dtype == theirs.dtype
         assert mine.equal(theirs), name
@@ -54,13 +46,12 @@ def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -
     field.save(tmp_path / "f.scoup")
     _, tensors = parts_of(tmp_path / "f.scoup")
     mine = {name.removeprefix("things.") for name in tensors if name.startswith("things.")}
-    assert mine == set(PARTS)
+    assert mine == set(TENSORS)
     for name in ("owners", "parents"):
         kept, numbers = tensors[f"things.{name}"], getattr(things_of(field), name)
         assert kept.dtype == torch.uint16
         assert kept.int().equal(torch.where(numbers == NO_THING, MOST_THINGS, numbers))
-    with_things(field, None).save(tmp_path / "none.scoup")
-    assert not [name for name in parts_of(tmp_path / "none.scoup")[1] if name.startswith("things.")]
+    altered(field, thing_table=None).save(tmp_path / "none.scoup")
     assert LanguageField.load(tmp_path / "none.scoup", field.gaussians).thing_table is None
 
 
@@ -72,11 +63,11 @@ def test_files_contain_any_number_of_things(
     things = things_of(field)
     if count is not None:
         rows = torch.arange(count).clamp(max=len(things) - 1)
-        parts: dict[str, Any] = {name: getattr(things, name)[rows] for name in PARTS if name != "owners"}
+        parts: dict[str, Any] = {name: getattr(things, name)[rows] for name in TENSORS if name != "owners"}
         owners = things.owners.clone() if count else torch.full_like(things.owners, NO_THING)
         owners[5, 1] = count - 1  # NO_THING of none
         things = ThingTable(owners, **parts)
-    with_things(field, things).save(tmp_path / "f.scoup", weight_bits=weight_bits)
+    altered(field, thing_table=things).save(tmp_path / "f.scoup", weight_bits=weight_bits)
     assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, things)
 
 
@@ -91,10 +82,7 @@ def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) 
     backwards = list(range(len(field)))[::-1]
     assert things_of(field[backwards]).owners.equal(things.owners.flip(0))
     assert things_of(field[[]]).owners.shape == (0, 2)
-    assert with_things(field, None)[mask].thing_table is None
-
-
-def test_other_gaussians_one_for_one_keep_their_owners(field: LanguageField) -> None:
+    assert altered(field, thing_table=None)[mask].thing_table is None
     moved = replace(field.gaussians, means=field.gaussians.means + 1, opacities=field.gaussians.opacities / 2)
     assert_same(field.with_gaussians(moved).thing_table, field.thing_table)
 
@@ -115,4 +103,71 @@ def test_things_of_another_field_are_refused(field: LanguageField) -> None:
         replace(things, embeddings=things.embeddings[:, :-1]),
     ):
         with refuses():
-            with_things(field, other)
+            altered(field, thing_table=other)
+
+
+@pytest.fixture
+def things() -> ThingTable:
+    """Five things: 0 to 2 of level 0, 3 and 4 of level 1; six Gaussians."""
+    owners = [[0, 3], [0, 3], [1, 3], [2, NO_THING], [NO_THING, 4], [NO_THING, NO_THING]]
+    return ThingTable(
+        owners=torch.tensor(owners, dtype=torch.int32),
+        levels=torch.tensor([0, 0, 0, 1, 1], dtype=torch.uint8),
+        parents=torch.tensor([3, 3, NO_THING, NO_THING, NO_THING], dtype=torch.int32),
+        embeddings=torch.eye(5, 8, dtype=torch.float16),
+        agreement=torch.tensor([0.9, 0.8, 0.2, 0.95, 0.1]),
+        n_regions=torch.tensor([3, 4, 2, 9, 2], dtype=torch.int32),
+        mass=torch.tensor([5.0, 3.0, 2.0, 9.0, 1.0]),
+        stability=torch.tensor([0.9, 0.5, 0.1, 1.0, 0.0]),
+    )
+
+
+def test_what_is_whole_is_taken(things: ThingTable) -> None:
+    assert {*TENSORS, "names"} == {*vars(things)}
+    empty = {name: getattr(things, name)[:0] for name in TENSORS[1:]}
+    nothing = ThingTable(torch.full_like(things.owners, NO_THING), **empty)
+    assert (len(things), len(nothing)) == (5, 0)
+    assert not nothing.members(torch.zeros(0, dtype=torch.int64)).any()
+    assert nothing.sums(torch.ones(6)).shape == (0,)
+    assert nothing.spread == LEAST_SPREAD
+
+
+def test_values_that_make_no_sense_are_refused(things: ThingTable) -> None:
+    """The rules are those of files (tests/field/test_facts.py), but numbers are int32."""
+    for name in ("owners", "parents"):
+        with refuses():
+            replace(things, **{name: getattr(things, name).long()})
+    for name, place, value in (
+        ("owners", (2, 1), 5), ("owners", (2, 1), MOST_THINGS), ("owners", (0, 0), -2), ("parents", 0, 5),
+        ("parents", 1, -7), ("levels", 4, 2), ("embeddings", (1, 3), math.nan), ("mass", 0, -math.inf),
+    ):  # fmt: skip
+        tensor = getattr(things, name).clone()
+        tensor[place] = value
+        with refuses():
+            replace(things, **{name: tensor})
+    rows = torch.zeros(MOST_THINGS + 1, dtype=torch.int64)  # files can number no more
+    with refuses():
+        replace(things, **{name: getattr(things, name)[rows] for name in TENSORS[1:]})
+
+
+def test_members_are_the_gaussians_of_things_and_sums_are_over_them(things: ThingTable) -> None:
+    expected = {(0,): [0, 1], (2, 0): [0, 1, 3], (3,): [0, 1, 2], (4,): [4], (4, 3): [0, 1, 2, 4], (): []}
+    for numbers, rows in expected.items():
+        found = things.members(torch.tensor(numbers, dtype=torch.int64))
+        assert found.nonzero()[:, 0].tolist() == rows
+        assert found.dtype == torch.bool
+    weights = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
+    assert things.sums(weights).dtype == torch.float64
+    assert things.sums(weights).tolist() == [3, 4, 8, 7, 16]
+    assert things.sums(weights > 3).tolist() == [0, 1, 1, 1, 1]
+    assert things.rows(torch.tensor([4, 0])).sums(torch.ones(2)).tolist() == [1, 0, 0, 1, 1]
+
+
+def test_the_spread_is_that_of_the_median_sure_thing(things: ThingTable) -> None:
+    """Of the things of three regions or more, which here agree by 0.8, 0.9 and 0.95."""
+    assert SURE_REGIONS == 3
+    assert things.spread == pytest.approx(math.sqrt((1 - 0.9**2) / 8), abs=1e-6)
+    for other in ({"n_regions": things.n_regions.clamp(max=2)}, {"agreement": torch.ones(5)}):
+        assert replace(things, **other).spread == LEAST_SPREAD
+    assert replace(things, agreement=torch.zeros(5)).spread == pytest.approx(8**-0.5)
+    assert_same(things.to("cpu"), things)

@@ -17,6 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import duckdb
+import numpy as np
+import zstandard
+from safetensors.numpy import load, save
 
 from scoup.base.sealed_file import NO_CHECKSUM, array_checksum, sealed
 from scoup.uplift.storage.array_file import with_checksum
@@ -30,8 +33,9 @@ class Container:
     """A kind of container."""
 
     split: Callable[[bytes], list[bytes]]  # the parts of a whole file
-    # a file of these parts, which may be damaged; given the whole file they came from
-    join: Callable[[bytes, Sequence[bytes]], bytes]
+    join: Callable[
+        [bytes, Sequence[bytes]], bytes
+    ]  # of the whole file, and of its parts, which may be damaged
 
 
 def _split_zip(data: bytes) -> list[bytes]:
@@ -51,25 +55,18 @@ def _join_zip(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 def _split_streams(data: bytes) -> list[bytes]:
     """Return header and unpacked streams of .spz, version 4."""
-    import zstandard
-
     (place,) = struct.unpack_from("<I", data, 16)
     parts, after = [data[:16]], place + 16 * data[15]
-    for number in range(data[15]):
-        packed, original = struct.unpack_from("<QQ", data, place + 16 * number)
-        parts.append(zstandard.ZstdDecompressor().decompress(data[after : after + packed], original))
+    for packed, original in struct.iter_unpack("<QQ", data[place:after]):
+        parts.append(zstandard.decompress(data[after : after + packed], original))
         after += packed
     return parts
 
 
 def _join_streams(data: bytes, parts: Sequence[bytes]) -> bytes:
-    import zstandard
-
-    packed = [zstandard.ZstdCompressor().compress(part) for part in parts[1:]]
-    table = b"".join(
-        struct.pack("<QQ", len(some), len(part)) for some, part in zip(packed, parts[1:], strict=True)
-    )
-    return parts[0] + data[16:32] + table + b"".join(packed)
+    packed = [zstandard.compress(part) for part in parts[1:]]
+    sizes = zip(map(len, packed), map(len, parts[1:]), strict=True)
+    return parts[0] + data[16:32] + b"".join([*(struct.pack("<QQ", *each) for each in sizes), *packed])
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:
@@ -91,12 +88,13 @@ def _split_png(data: bytes) -> list[bytes]:
 
 
 def _join_png(data: bytes, parts: Sequence[bytes]) -> bytes:
-    made = [data[:8]]
+    made = data[:8]
     for (kind, _), part in zip(_chunks(data), parts, strict=True):
         content = zlib.compress(part, 1) if kind == _CHUNKS_OF_PIXELS else part
-        made += [struct.pack(">I", len(content)), kind, content]
-        made.append(struct.pack(">I", zlib.crc32(kind + content)))
-    return b"".join(made)
+        made += (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+    return made
 
 
 def _split_glb(data: bytes) -> list[bytes]:
@@ -124,10 +122,8 @@ def split_parquet(data: bytes) -> list[bytes]:
     with TemporaryDirectory() as folder:
         path = Path(folder, "a.parquet")
         path.write_bytes(data)
-        rows = duckdb.connect().execute(
-            "SELECT value FROM parquet_kv_metadata(?) WHERE key = 'scoup'", [str(path)]
-        )
-        return [value for (value,) in rows.fetchall()]
+        rows = "SELECT value FROM parquet_kv_metadata(?) WHERE key = 'scoup'"
+        return [value for (value,) in duckdb.connect().execute(rows, [str(path)]).fetchall()]
 
 
 def _join_parquet(data: bytes, parts: Sequence[bytes]) -> bytes:
@@ -135,8 +131,8 @@ def _join_parquet(data: bytes, parts: Sequence[bytes]) -> bytes:
     with TemporaryDirectory() as folder:
         path, made = Path(folder, "a.parquet"), Path(folder, "b.parquet")
         path.write_bytes(data)
-        rows = duckdb.connect().read_parquet(str(path))
-        rows.query("rows", f"COPY rows TO '{made}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
+        copy = f"COPY rows TO '{made}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})"
+        duckdb.connect().read_parquet(str(path)).query("rows", copy)
         return made.read_bytes()
 
 
@@ -158,40 +154,31 @@ def _split_sealed(data: bytes) -> list[bytes]:
 
 def _join_sealed(data: bytes, parts: Sequence[bytes]) -> bytes:
     """Return a file whose checksums agree, as far as its header is JSON still."""
-    from safetensors.numpy import load
-
     root = json.loads(_split_safetensors(data)[0])
     text = parts[0].decode("utf-8", "replace")
     root["__metadata__"]["scoup"] = text
     first = _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
     try:
-        header = json.loads(text)
-        header |= {"checksums": {name: array_checksum(item) for name, item in load(first).items()}}
+        checksums = {name: array_checksum(item) for name, item in load(first).items()}
+        root["__metadata__"]["scoup"] = sealed({**json.loads(text), "checksums": checksums})
     except Exception:  # safetensors has its own; what cannot be fixed stays as it is
         return first
-    root["__metadata__"]["scoup"] = sealed(header)
     return _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
 
 
-def _split_labels(data: bytes) -> list[bytes]:
-    """Return the unpacked label maps of a .regions file."""
-    from safetensors.numpy import load
+def _label_maps(data: bytes) -> list[str]:
+    """Return the names of the packed label maps of a .regions file."""
+    return sorted(name for name in load(data) if name.startswith("labels."))
 
-    return [
-        zlib.decompress(item.tobytes())
-        for name, item in sorted(load(data).items())
-        if name.startswith("labels.")
-    ]
+
+def _split_labels(data: bytes) -> list[bytes]:
+    tensors = load(data)
+    return [zlib.decompress(tensors[name].tobytes()) for name in _label_maps(data)]
 
 
 def _join_labels(data: bytes, parts: Sequence[bytes]) -> bytes:
-    import numpy as np
-    from safetensors.numpy import load, save
-
-    tensors, rest = load(data), iter(parts)
-    for name in sorted(tensors):
-        if name.startswith("labels."):
-            tensors[name] = np.frombuffer(zlib.compress(next(rest), 1), np.uint8)
+    packed = [np.frombuffer(zlib.compress(part, 1), np.uint8) for part in parts]
+    tensors = load(data) | dict(zip(_label_maps(data), packed, strict=True))
     made = save(tensors, json.loads(_split_safetensors(data)[0])["__metadata__"])
     return _join_sealed(made, _split_sealed(made))
 
@@ -208,24 +195,9 @@ def _join_npy(data: bytes, parts: Sequence[bytes]) -> bytes:
 
 def _join_sums(data: bytes, parts: Sequence[bytes]) -> bytes:
     """Return a file of region sums whose checksum agrees."""
-    made = _join_safetensors(data, parts)
-    end = 8 + int.from_bytes(made[:8], "little")
-    head = made[8:end]
-    checksum = zlib.crc32(made[end:], zlib.crc32(with_checksum(head, NO_CHECKSUM)))
-    return made[:8] + with_checksum(head, f"{checksum:08x}") + made[end:]
-
-
-def _split_ply(data: bytes) -> list[bytes]:
-    end = data.index(b"end_header")
-    return [data[:end], data[end:]]
-
-
-def _rejoined(data: bytes, parts: Sequence[bytes]) -> bytes:
-    return b"".join(parts)
-
-
-def _join_gzip(data: bytes, parts: Sequence[bytes]) -> bytes:
-    return gzip.compress(parts[0], 1, mtime=0)
+    head, body = _split_safetensors(_join_safetensors(data, parts))
+    checksum = zlib.crc32(body, zlib.crc32(with_checksum(head, NO_CHECKSUM)))
+    return struct.pack("<Q", len(head)) + with_checksum(head, f"{checksum:08x}") + body
 
 
 def join_parts(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
@@ -235,7 +207,9 @@ def join_parts(container: Container, data: bytes, parts: Sequence[bytes]) -> byt
         return container.join(data, parts)
 
 
-GZIP = Container(lambda data: [gzip.decompress(data)], _join_gzip)
+GZIP = Container(
+    lambda data: [gzip.decompress(data)], lambda data, parts: gzip.compress(parts[0], 1, mtime=0)
+)
 ZIP = Container(_split_zip, _join_zip)
 STREAMS = Container(_split_streams, _join_streams)
 PNG = Container(_split_png, _join_png)
@@ -247,4 +221,7 @@ LABELS = Container(_split_labels, _join_labels)
 PARQUET = Container(split_parquet, _join_parquet)
 NPY = Container(_split_npy, _join_npy)
 SUMS = Container(_split_safetensors, _join_sums)
-PLY = Container(_split_ply, _rejoined)
+PLY = Container(
+    lambda data: [data[: data.index(b"end_header")], data[data.index(b"end_header") :]],
+    lambda data, parts: b"".join(parts),
+)

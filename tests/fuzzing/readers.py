@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,9 +53,6 @@ class Memory:
         """Return the allowance of a file of so many bytes."""
         return self.times * size + (self.megabytes << 20)
 
-    def __str__(self) -> str:
-        return f"{self.times:,} x + {self.megabytes} MB"
-
 
 MEMORY = Memory()
 PIXELS = Memory(13_000, 512)  # images: 1100 pixels per byte and 2^25 besides are decoded, at about 12 bytes
@@ -88,16 +84,12 @@ def _splat(
     return Reader(file, lambda folder: load_gaussians(folder / file), more, containers, memory, share)
 
 
-def _cameras(file: str, source: str, *more: str) -> Reader:
-    return Reader(file, lambda folder: load_cameras(folder / source, missing_images="keep"), more)
+def _cameras(file: str, source: str) -> Reader:
+    return Reader(file, lambda folder: load_cameras(folder / source, missing_images="keep"))
 
 
 def _sparse(file: str, model: str) -> Reader:
-    def read(folder: Path) -> None:
-        read_points(folder / model)
-        read_tracks(folder / model)
-
-    return Reader(file, read)
+    return Reader(file, lambda folder: (read_points(folder / model), read_tracks(folder / model)))
 
 
 def _gltf(file: str, *more: str, container: Container, memory: Memory = MEMORY) -> Reader:
@@ -125,10 +117,9 @@ def _regions(folder: Path) -> None:
 
 
 def _detections(file: str) -> Reader:
-    def read(folder: Path) -> None:
-        DetectionStore.open(folder / "concepts").read("view_00.png")
-
-    return Reader(f"concepts/{file}", read)
+    return Reader(
+        f"concepts/{file}", lambda folder: DetectionStore.open(folder / "concepts").read("view_00.png")
+    )
 
 
 def _field(file: str, *more: str) -> Reader:
@@ -143,17 +134,13 @@ def _field(file: str, *more: str) -> Reader:
 
 def _sums(folder: Path) -> None:
     """Open a file, list its entries, and run a round of the vote by every backend of the processor."""
-    with _opened_sums(folder / "a.sums") as sums:
+    path = folder / "a.sums"
+    try:
+        sums = RegionSums.open(path)
         for name in sums.views:
             for level in range(len(sums.levels)):
                 sums.triplets(name, level)
         _vote(sums)
-
-
-@contextmanager
-def _opened_sums(path: Path) -> Iterator[RegionSums]:
-    try:
-        yield RegionSums.open(path)
     except FileFormatError:
         raise
     except InputError as error:  # whoever uses the sums knows their folder

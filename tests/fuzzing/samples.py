@@ -11,6 +11,7 @@ from shutil import copytree
 
 import numpy as np
 import torch
+from safetensors.torch import save_file
 from tests.field_files import small_field
 from tests.foreign_samples import (
     LangSplatAutoencoder,
@@ -77,13 +78,15 @@ OTHER_SPLATS = [
 
 def write_samples(folder: Path) -> None:
     """Write all of them."""
-    _write_splats(folder)
-    _write_checkpoints(folder)
-    _write_cameras(folder)
-    _write_regions(folder)
-    _write_detections(folder / "concepts")
-    _write_fields(folder)
-    _write_words_and_labels(folder)
+    for write in (
+        _write_splats,
+        _write_checkpoints,
+        _write_cameras,
+        _write_regions,
+        _write_fields,
+        _write_words,
+    ):
+        write(folder)
     _write_pictures(folder / "pictures")
     copytree(KEPT / "archive", folder / "archive")
 
@@ -93,7 +96,11 @@ def _write_splats(folder: Path) -> None:
     for name in ("a.ply", "a.splat", "a.spz"):
         save_gaussians(few, folder / name)
         save_gaussians(some_gaussians(MANY, degree=0), folder / f"many{Path(name).suffix}")
-    _write_alike(folder)
+    # Of Gaussians that are all alike nothing shrinks further, so nothing grows more when it is read.
+    one = some_gaussians(1, degree=0)
+    alike = Gaussians(*(part.expand(200_000, *part.shape[1:]) for part in one.tensors().values()))
+    save_gaussians(alike, folder / "alike.spz")
+    save_spz(alike, folder / "alike4.spz", 4)
     for version in (1, 2, 4):
         save_spz(few, folder / f"version{version}.spz", version)
     save_spz(some_gaussians(MANY, degree=4), folder / "many4.spz", 4)
@@ -103,22 +110,12 @@ def _write_splats(folder: Path) -> None:
         write_gltf(few, folder / f"a.{ending}", ids=ids, names=("chair", "table"))
         write_gltf(some_gaussians(MANY, degree=0), folder / f"many.{ending}")
     spz_in_gltf(folder, few)
-    save_compressed_ply(folder / "packed.ply", count=4)
-    save_compressed_ply(folder / "packed_many.ply", count=MANY)
-    _write_ascii_ply(folder / "ascii.ply", few)
-    _write_ascii_ply(folder / "ascii_many.ply", some_gaussians(MANY, degree=0))
+    for name, gaussians in (("", few), ("_many", some_gaussians(MANY, degree=0))):
+        save_compressed_ply(folder / f"packed{name}.ply", count=len(gaussians))
+        _write_ascii_ply(folder / f"ascii{name}.ply", gaussians)
     for ending in OTHER_SPLATS:
         save_gaussians(few, folder / f"a{ending}")
-    points = LabelledPoints(few.means, torch.arange(4))
-    write_labelled_ply(points, folder / "labelled.ply")
-
-
-def _write_alike(folder: Path) -> None:
-    """Write Gaussians that are all alike: nothing shrinks further, so nothing grows more when it is read."""
-    one = some_gaussians(1, degree=0)
-    alike = Gaussians(*(part.expand(200_000, *part.shape[1:]) for part in one.tensors().values()))
-    save_gaussians(alike, folder / "alike.spz")
-    save_spz(alike, folder / "alike4.spz", 4)
+    write_labelled_ply(LabelledPoints(few.means, torch.arange(4)), folder / "labelled.ply")
 
 
 def _write_ascii_ply(path: Path, gaussians: Gaussians) -> None:
@@ -150,55 +147,45 @@ def _write_cameras(folder: Path) -> None:
     (folder / "results" / "ckpts").mkdir()
 
 
-def _write_detections(folder: Path) -> None:
-    box = torch.tensor([[1.0, 2.0, 5.0, 4.0]])
-    store = DetectionStore.new(folder, ("mug", "kettle"), {"model": "a"})
-    store.begin()
-    store.write("view_00.png", "0", Detections(torch.tensor([1]), torch.tensor([0.5]), box, SIZE))
-
-
 def _write_regions(folder: Path) -> None:
     regions = some_regions(some_cameras(1, *SIZE))
     save_langsplat(regions, folder / "features")
-    name, packed = regions.view_names[0], folder / "packed"
-    view = stored_view(regions, name, "<f2", "0" * 64)
-    manifest = RegionManifest.of("a/model", {"least": 0.5}, 16)
+    packed, manifest = folder / "packed", RegionManifest.of("a/model", {"least": 0.5}, 16)
     write_manifest(packed, manifest)
+    view = stored_view(regions, regions.view_names[0], "<f2", "0" * 64)
     compact.write_view(packed, "view_00", view, manifest.fingerprint)
+    store = DetectionStore.new(folder / "concepts", ("mug", "kettle"), {"model": "a"})
+    store.begin()
+    box = torch.tensor([[1.0, 2.0, 5.0, 4.0]])
+    store.write("view_00.png", "0", Detections(torch.tensor([1]), torch.tensor([0.5]), box, SIZE))
 
 
 def _write_fields(folder: Path) -> None:
+    """Write fields with their geometry, one whose geometry is a file beside it, and region sums."""
     field = small_field()
     field.geometry_path = None
     field.save(folder / "a.scoup", embed_geometry=True)
     field.save(folder / "bytes.scoup", embed_geometry=True, weight_bits=8)
-    _write_linked_field(field, folder)
-    gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
-    region_sums(gaussians, cameras, regions, path=folder / "a.sums")
-
-
-def _write_linked_field(field: LanguageField, folder: Path) -> None:
-    """Write a field whose geometry is a file beside it."""
     stored = as_stored(field.gaussians)
     save_gaussians(stored, folder / "linked.ply")
     info = replace(field.info, fingerprint=stored.fingerprint())
     codes = (field.code_indices, field.code_weights, field.codebook)
     linked = LanguageField(*codes, info, stored, folder / "linked.ply")
     linked.save(folder / "linked.scoup", embed_geometry=False)
+    gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
+    region_sums(gaussians, cameras, regions, path=folder / "a.sums")
 
 
-def _write_words_and_labels(folder: Path) -> None:
-    from safetensors.torch import save_file
-
-    vectors = torch.arange(1.0, 13.0).view(3, 4)
-    names = ["cup", "chair", "table"]
+def _write_words(folder: Path) -> None:
+    """Write tables of words, and labels."""
+    vectors, names = torch.arange(1.0, 13.0).view(3, 4), ["cup", "chair", "table"]
     WordTable.save(folder / "words.npz", names, vectors, model="a/model")
-    np.savez_compressed(folder / "single.npz", **dict(zip(names, vectors.numpy(), strict=True)))  # pyright: ignore[reportArgumentType]
+    each = dict(zip(names, vectors.clone(), strict=True))
+    np.savez_compressed(folder / "single.npz", **{name: row.numpy() for name, row in each.items()})  # pyright: ignore[reportArgumentType]
     alike = np.ones((3, 500_000), np.float32)
     np.savez_compressed(folder / "alike.npz", names=np.array(names), vectors=alike)
-    rows = dict(zip(names, vectors.tolist(), strict=True))
+    rows = {name: row.tolist() for name, row in each.items()}
     (folder / "words.json").write_text(json.dumps({"model": "a/model", **rows}))
-    each = dict(zip(names, vectors.clone(), strict=True))
     save_file(each, folder / "words.safetensors", {"model": "a/model"})
     save_file({"vectors": vectors}, folder / "joined.safetensors", {"names": json.dumps(names)})
     things = [

@@ -1,11 +1,14 @@
-"""Damaged files of splats, of every format: a table for the test of damage."""
+"""Damaged files of splats and checkpoints: a table for the test of damage."""
 
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import json
+import pickle
 import re
 import struct
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,10 +17,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
+from foreign_samples import captured, save_splatfacto
 from gltf_samples import SPLATS, columns_of, foreign, packed, spz_in_gltf
-from io_samples import ply_file, raw_columns, save_compressed_ply, some_gaussians
-from scoup.io import load_gaussians
+from io_samples import ply_file, raw_columns, save_checkpoint, save_compressed_ply, some_gaussians
+from scoup.io import load_gaussians, save_gaussians
+from scoup.io.langsplat_checkpoint import read_langsplat
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+from scoup.io.splats.formats import FORMATS
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.ply import read_ply
@@ -39,19 +47,39 @@ def swapped(old: bytes, new: bytes) -> Change:
     return lambda whole: whole.replace(old, new)
 
 
+def altered(name: str, write: Callable[[Path], object]) -> Callable[[Path, Change], Path]:
+    """Return a function that writes a valid file and changes its bytes."""
+
+    def make(folder: Path, change: Change) -> Path:
+        write(folder / name)
+        return written(name, folder, change((folder / name).read_bytes()))
+
+    return make
+
+
+# ---- any format, as a whole
+
+WHOLE = {
+    "empty": lambda _: b"", "byte": lambda whole: whole[:1], "half": lambda whole: whole[: len(whole) // 2 - 1],
+    "reversed": lambda whole: whole[::-1],
+}  # fmt: skip
+HAVE_GAUSSFORGE = importlib.util.find_spec("gaussforge") is not None
+ENDINGS = [
+    ending
+    for kind in FORMATS.values()
+    if kind.read and kind.write and (kind.extra != "splats" or HAVE_GAUSSFORGE)
+    for ending in kind.endings
+]
+"""Of formats that are read and written here."""
+
+
+def of_ending(ending: str) -> Kind:
+    make = altered(f"a{ending}", lambda path: save_gaussians(some_gaussians(40), path))
+    damages = [name for name in WHOLE if (ending, name) != (".splat", "reversed")]  # which is a valid one
+    return Kind(make, load_gaussians, {name: WHOLE[name] for name in damages})
+
+
 # ---- PLY
-
-
-def damaged_ply(folder: Path, change: Change, encoding: str = "binary_little_endian") -> Path:
-    path = ply_file(folder / "a.ply", raw_columns(5), encoding)
-    path.write_bytes(change(path.read_bytes()))
-    return path
-
-
-def damaged_compressed(folder: Path, change: Change) -> Path:
-    save_compressed_ply(folder / "a.ply", count=300)
-    (folder / "a.ply").write_bytes(change((folder / "a.ply").read_bytes()))
-    return folder / "a.ply"
 
 
 def columns(gone: str, *added: str, rest: int = 0) -> dict[str, np.ndarray]:
@@ -61,7 +89,7 @@ def columns(gone: str, *added: str, rest: int = 0) -> dict[str, np.ndarray]:
 
 
 PLY = {
-    "cut": lambda whole: whole[:-1], "long": swapped(b"vertex 5", b"vertex 1000000000000"), "empty": lambda _: b"",
+    "cut": lambda whole: whole[:-1], "long": swapped(b"vertex 5", b"vertex 1000000000000"),
     "no end": swapped(b"end_header", b"end_huader"), "twice": swapped(b"property float y", b"property float x"),
     "list": swapped(b"property float x", b"property list uchar float x"),
 }  # fmt: skip
@@ -101,7 +129,7 @@ def beginning(start: bytes) -> bytes:
 
 
 SPLAT = {
-    "cut": record()[:-1], "empty": b"", "beyond": record() * 9 + record(scale=(0.1, 2e9, 0.1)),
+    "cut": record()[:-1], "beyond": record() * 9 + record(scale=(0.1, 2e9, 0.1)),
     "ksplat": beginning(struct.pack("<2B2x4IH", 0, 1, 1, 0, 0, 64, 0)),  # as gaussforge writes it
     "gzip": beginning(b"\x1f\x8b\x08\0"), "zip": beginning(b"PK\x03\x04"), "spz": beginning(b"NGSP\4\0\0\0"),
     "ply": beginning(b"ply\nformat binary_little_endian 1.0\n"), "glb": beginning(b"glTF\2\0\0\0"),
@@ -125,7 +153,7 @@ def streams(table: int, rest: int = 0) -> bytes:
 
 
 SPZ = {
-    "nothing": b"", "zip": b"PK\x03\x04", "short": gzip.compress(b"abc"),
+    "zip": b"PK\x03\x04", "short": gzip.compress(b"abc"),
     "other": gzip.compress(b"these are not the bytes you are looking for"),
     "version 9": spz(9, 1, 0, body=bytes(20)), "degree 7": spz(3, 1, 7, body=bytes(20)),
     "two": spz(3, 2, 0, body=bytes(20)), "a byte more": spz(3, 1, 0, body=bytes(21)),
@@ -139,76 +167,57 @@ SPZ = {
 Root = dict[str, Any]
 
 
-def damaged_gltf(folder: Path, change: Callable[[Root], object]) -> Path:
+def damaged_gltf(folder: Path, damage: tuple[str, Root]) -> Path:
+    """Give a part of the JSON other values; those that are None are removed."""
     root, binary = foreign(columns_of(some_gaussians(3, 1)))
-    change(root)
+    part: Any = root
+    for key in damage[0].split():
+        part = part[int(key) if key.isdigit() else key]
+    part.update(damage[1])
+    for name in [name for name, value in damage[1].items() if value is None]:
+        del part[name]
     return packed(folder / "a.glb", root, binary)
-
-
-def primitive(root: Root) -> Root:
-    return root["meshes"][0]["primitives"][0]
-
-
-def of_root(**values: Any) -> Callable[[Root], object]:
-    return lambda root: root.update(values)
-
-
-def node(**values: Any) -> Callable[[Root], object]:
-    return lambda root: root["nodes"][0].update(values)
-
-
-def accessor(**values: Any) -> Callable[[Root], object]:
-    return lambda root: root["accessors"][2].update(values)
-
-
-def view(**values: Any) -> Callable[[Root], object]:
-    return lambda root: root["bufferViews"][2].update(values)
-
-
-def without(name: str) -> Callable[[Root], object]:
-    return lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:{name}")
 
 
 COMPRESSION = {SPLATS: {"extensions": {f"{SPLATS}_compression_other": {}}}}
 SHEAR = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
-GLTF = {
-    "compressed": lambda root: primitive(root).update(extensions=COMPRESSION),
-    "required": of_root(extensionsRequired=["KHR_meshopt"]), "no node": of_root(scenes=[{"nodes": []}]),
-    "mesh": lambda root: primitive(root).update(extensions={}),
-    "triangles": lambda root: primitive(root).update(mode=4),
-    "draft": without("SCALE"), "partial": without("SH_DEGREE_1_COEF_1"), "rotation": node(rotation=[0, 0.6, 0, 0.8]),
-    "rotation above": of_root(nodes=[{"rotation": [0, 0.6, 0, 0.8], "children": [1]}, {"mesh": 0}]),
-    "scale": node(scale=[2, 2, 2]), "mirror": node(scale=[-1, 1, 1]), "shear": node(matrix=SHEAR),
-    "instances": of_root(nodes=[{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [1, 0, 0]}]),
-    "huge": node(matrix=[10**400] + [0] * 15), "quaternion": node(rotation=[0, 0, 0]),
-    "perspective": node(matrix=[1, 0, 0, 1] + [0] * 12), "cycle": node(children=[0]), "child": node(children=[5]),
-    "two parents": of_root(nodes=[{"mesh": 0, "children": [1, 1]}, {}]), "count": accessor(count=2),
-    "counts": lambda root: [each.update(count=2**40) for each in root["accessors"]], "zero": accessor(count=0),
-    "offset": accessor(byteOffset=2**52), "negative": accessor(byteOffset=-4), "sparse": accessor(sparse={}),
-    "type": accessor(type="VEC4"), "component": accessor(componentType=5125), "view": accessor(bufferView=99),
-    "stride": view(byteStride=4), "length": view(byteLength=2**50), "buffer": view(buffer=1),
-    "version": of_root(asset={"version": "1.0"}), "no version": of_root(asset=3), "list": of_root(nodes={}),
-    "repeated": lambda root: root["meshes"][0].update(primitives=[primitive(root)] * 3000),
+NODE, ACCESSOR, VIEW, PRIMITIVE = "nodes 0", "accessors 2", "bufferViews 2", "meshes 0 primitives 0"
+VALID, _ = foreign(columns_of(some_gaussians(3, 1)))
+TURN = {"rotation": [0, 0.6, 0, 0.8]}
+GLTF: dict[str, tuple[str, Root]] = {
+    "compressed": (PRIMITIVE, {"extensions": COMPRESSION}), "mesh": (PRIMITIVE, {"extensions": {}}),
+    "triangles": (PRIMITIVE, {"mode": 4}), "draft": (f"{PRIMITIVE} attributes", {f"{SPLATS}:SCALE": None}),
+    "partial": (f"{PRIMITIVE} attributes", {f"{SPLATS}:SH_DEGREE_1_COEF_1": None}),
+    "required": ("", {"extensionsRequired": ["KHR_meshopt"]}), "no node": ("", {"scenes": [{"nodes": []}]}),
+    "rotation": (NODE, TURN), "rotation above": ("", {"nodes": [{**TURN, "children": [1]}, {"mesh": 0}]}),
+    "scale": (NODE, {"scale": [2, 2, 2]}), "mirror": (NODE, {"scale": [-1, 1, 1]}), "shear": (NODE, {"matrix": SHEAR}),
+    "instances": ("", {"nodes": [{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [1, 0, 0]}]}),
+    "huge": (NODE, {"matrix": [10**400] + [0] * 15}), "quaternion": (NODE, {"rotation": [0, 0, 0]}),
+    "perspective": (NODE, {"matrix": [1, 0, 0, 1] + [0] * 12}), "cycle": (NODE, {"children": [0]}),
+    "child": (NODE, {"children": [5]}), "two parents": ("", {"nodes": [{"mesh": 0, "children": [1, 1]}, {}]}),
+    "count": (ACCESSOR, {"count": 2}), "zero": (ACCESSOR, {"count": 0}), "offset": (ACCESSOR, {"byteOffset": 2**52}),
+    "counts": ("", {"accessors": [{**each, "count": 2**40} for each in VALID["accessors"]]}),
+    "negative": (ACCESSOR, {"byteOffset": -4}), "sparse": (ACCESSOR, {"sparse": {}}),
+    "type": (ACCESSOR, {"type": "VEC4"}), "component": (ACCESSOR, {"componentType": 5125}),
+    "view": (ACCESSOR, {"bufferView": 99}), "stride": (VIEW, {"byteStride": 4}), "buffer": (VIEW, {"buffer": 1}),
+    "length": (VIEW, {"byteLength": 2**50}), "version": ("", {"asset": {"version": "1.0"}}),
+    "no version": ("", {"asset": 3}), "list": ("", {"nodes": {}}),
+    "repeated": ("meshes 0", {"primitives": VALID["meshes"][0]["primitives"] * 3000}),
 }  # fmt: skip
 
 
-def damaged_glb(folder: Path, change: Callable[[bytes, int], bytes]) -> Path:
-    """``change`` takes the content, and where its JSON ends."""
-    # Whole numbers, which take as many bytes of its JSON on every machine.
-    write_gltf(replace(some_gaussians(3, 0), means=torch.arange(9.0).view(3, 3)), folder / "a.glb")
-    data = (folder / "a.glb").read_bytes()
-    return written("a.glb", folder, change(data, 20 + struct.unpack_from("<I", data, 12)[0]))
+def write_whole_numbers(path: Path) -> None:
+    """Whose JSON takes as many bytes on every machine."""
+    write_gltf(replace(some_gaussians(3, 0), means=torch.arange(9.0).view(3, 3)), path)
 
 
-GLB = {
-    "empty": lambda data, end: b"", "hello": lambda data, end: b"hello", "NaN": lambda data, end: b'{"a": NaN}',
-    "deep": lambda data, end: b"[" * 100_000, "list": lambda data, end: b"[]", "header": lambda data, end: data[:11],
-    "cut": lambda data, end: data[:-1], "long": lambda data, end: data + b"\0",
-    "version": lambda data, end: data[:4] + struct.pack("<I", 1) + data[8:],
-    "JSON beyond": lambda data, end: data[:12] + struct.pack("<I", 2**32 - 1) + data[16:],
-    "data beyond": lambda data, end: data[:end] + struct.pack("<I", 2**31) + data[end + 4 :],
-    "JSOM": lambda data, end: data[:16] + b"JSOM" + data[20:],
-    "BIM": lambda data, end: data[: end + 4] + b"BIM\0" + data[end + 8 :],
+GLB: dict[str, Change] = {
+    "hello": lambda _: b"hello", "NaN": lambda _: b'{"a": NaN}', "deep": lambda _: b"[" * 100_000,
+    "list": lambda _: b"[]", "header": lambda whole: whole[:11], "cut": lambda whole: whole[:-1],
+    "long": lambda whole: whole + b"\0", "version": lambda whole: whole[:4] + struct.pack("<I", 1) + whole[8:],
+    "JSON beyond": lambda whole: whole[:12] + struct.pack("<I", 2**32 - 1) + whole[16:],
+    "data beyond": lambda whole: re.sub(rb"(?s)....BIN\0", b"\0\0\0\x80BIN\0", whole),
+    "JSOM": swapped(b"JSON", b"JSOM"), "BIM": swapped(b"BIN\0", b"BIM\0"),
 }  # fmt: skip
 
 
@@ -238,15 +247,111 @@ def damaged_spz_in_gltf(folder: Path, damage: str) -> Path:
     return path
 
 
+class Runs:
+    """Is not to be run by reading."""
+
+    def __reduce__(self) -> Any:
+        return print, ("this was run",)
+
+
+def torch_file(name: str, folder: Path, content: Any) -> Path:
+    torch.save(content, folder / name)
+    return folder / name
+
+
+def pickled(folder: Path, content: bytes) -> Path:
+    """A checkpoint whose pickle is another."""
+    path = folder / "a.pt"
+    torch_file("valid.pt", folder, {"a": torch.zeros(4)})
+    with zipfile.ZipFile(folder / "valid.pt") as valid, zipfile.ZipFile(path, "w") as made:
+        for entry in valid.infolist():
+            ours = entry.filename.endswith("data.pkl")
+            made.writestr(entry.filename, content if ours else valid.read(entry))
+    return path
+
+
+def claiming_entries(folder: Path) -> Path:
+    """Entries of an archive that claim more bytes than there are: packed, and unpacked as before."""
+    content = bytearray(pickled(folder, b"\x80\x02}.").read_bytes())
+    for entry in [found.start() for found in re.finditer(b"PK\1\2", content)]:
+        content[entry + 20 : entry + 24] = (2**31 - 1).to_bytes(4, "little")
+    return written("a.pt", folder, bytes(content))
+
+
+def makes_memory(name: bytes) -> Callable[[Path], Path]:
+    """A pickle that asks for any amount of memory."""
+    call = b"\x80\x02c" + name + b"\n\x8a\x05" + (10**10).to_bytes(5, "little") + b"\x85R."
+    return lambda folder: pickled(folder, call)
+
+
+def splats(**changes: Any) -> Callable[[Path], Path]:
+    return lambda folder: save_checkpoint(some_gaussians(4), folder / "a.pt", **changes)
+
+
+def content(value: Any) -> Callable[[Path], Path]:
+    return partial(torch_file, "a.pt", content=value)
+
+
+CLAIMED = {"means": torch.zeros(1).expand(10**9, 3), "quats": torch.zeros(1).expand(10**9, 4)}
+GSPLAT: dict[str, Callable[[Path], Path]] = {
+    "model": content({"model": 1}), "list": content([1, 2]), "number": content({"splats": 3}),
+    "means alone": content({"splats": {"means": torch.zeros(2, 3)}}), "objects": content({"splats": Runs()}),
+    "bare": lambda folder: written("a.pt", folder, pickle.dumps({"splats": 1})), "entries": claiming_entries,
+    "columns": splats(quats=torch.zeros(4, 3)), "rows": splats(scales=torch.zeros(3, 3)),
+    "integers": splats(means=torch.zeros(4, 3, dtype=torch.int64)), "claimed": splats(**CLAIMED),
+    "degree": splats(shN=torch.zeros(4, 4, 3)),
+    **{name.decode().replace("\n", "."): makes_memory(name) for name in (
+        b"builtins\nbytearray", b"torch\nFloatTensor", b"torch\nTensor", b"torch.storage\nUntypedStorage",
+        b"torch.sparse\nFloatTensor")},
+}  # fmt: skip
+
+
+def damaged_splatfacto(folder: Path, changes: dict[str, Any] | None) -> Path:
+    path = folder / "step-000000009.ckpt"
+    save_splatfacto(some_gaussians(9, 0), path)
+    valid = torch.load(path, weights_only=True)["pipeline"]
+    return torch_file(path.name, folder, {"pipeline": None if changes is None else {**valid, **changes}})
+
+
+def damaged_langsplat(folder: Path, damage: tuple[slice, list[Any]]) -> Path:
+    entries = list(captured(some_gaussians(7, 1))[0])
+    entries[damage[0]] = damage[1]
+    return torch_file("a.pth", folder, (tuple(entries), 10000))
+
+
+LANGSPLAT = {
+    name: (slice(place, place + 1), [value]) for name, place, value in (
+        ("features", 1, torch.zeros(6, 3)), ("logits", 7, torch.zeros(7, 9)), ("codebooks", 8, torch.zeros(8, 16)),
+        ("nan", 8, torch.full((1, 8, 16), torch.nan)), ("claimed", 1, torch.zeros(1, 1).expand(10**9, 3)),
+        ("text", 4, "scales"), ("objects", 13, Runs()),
+    )
+} | {"no features": (slice(7, 9), []), "five": (slice(5, None), [])}  # fmt: skip
+AUTOENCODER = {
+    "encoder": {"encoder.0.weight": torch.zeros(3, 3)}, "bias": {"decoder.0.weight": torch.zeros(3, 3)},
+    "sizes": {"decoder.0.weight": torch.zeros(4, 3), "decoder.0.bias": torch.zeros(4),
+              "decoder.2.weight": torch.zeros(5, 9), "decoder.2.bias": torch.zeros(5)},
+    "list": [1, 2], "objects": nn.Linear(2, 2),
+}  # fmt: skip
+
+SPLATFACTO = {"scales": {"_model.gauss_params.scales": torch.zeros(8, 3)}, "pipeline": None}
+
+
 KINDS = {
-    "PLY": Kind(damaged_ply, read_ply, PLY),
-    "ASCII PLY": Kind(partial(damaged_ply, encoding="ascii"), read_ply, ASCII_PLY),
+    **{f"whole {ending}": of_ending(ending) for ending in ENDINGS},
+    "PLY": Kind(altered("a.ply", lambda path: ply_file(path, raw_columns())), read_ply, PLY),
+    "ASCII PLY": Kind(
+        altered("a.ply", lambda path: ply_file(path, raw_columns(), "ascii")), read_ply, ASCII_PLY
+    ),
     "columns of PLY": Kind(lambda folder, found: ply_file(folder / "a.ply", found), load_gaussians, COLUMNS),
-    "compressed PLY": Kind(damaged_compressed, read_ply, COMPRESSED),
+    "compressed PLY": Kind(altered("a.ply", save_compressed_ply), read_ply, COMPRESSED),
     ".splat": Kind(partial(written, "a.splat"), read_splat, SPLAT),
     ".spz": Kind(partial(written, "a.spz"), load_gaussians, SPZ),
     "glTF": Kind(damaged_gltf, read_gltf, GLTF),
-    ".glb": Kind(damaged_glb, read_gltf, GLB),
+    ".glb": Kind(altered("a.glb", write_whole_numbers), read_gltf, GLB),
     "buffer of glTF": Kind(damaged_buffer, read_gltf, {uri: uri for uri in URIS}),
     "spz in glTF": Kind(damaged_spz_in_gltf, read_gltf, {"bytes": "bytes", "degree": "degree"}),
+    "gsplat": Kind(lambda folder, make: make(folder), load_gaussians, GSPLAT),
+    "nerfstudio": Kind(damaged_splatfacto, load_gaussians, SPLATFACTO),
+    "LangSplatV2": Kind(damaged_langsplat, read_langsplat, LANGSPLAT),
+    "autoencoder": Kind(partial(torch_file, "a.pth"), read_autoencoder, AUTOENCODER),
 }

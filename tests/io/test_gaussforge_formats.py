@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import tame
+from io_samples import angles, save_spz, tame
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
 
-pytest.importorskip("gaussforge", reason="gaussforge is not installed")
+gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
 
 
 def test_an_unbundled_sog(tmp_path: Path) -> None:
@@ -35,6 +35,29 @@ def test_an_unbundled_sog(tmp_path: Path) -> None:
     next(folder.glob("sh0*.webp")).unlink()
     with refuses(MissingFileError):
         load_gaussians(folder)
+
+
+@pytest.mark.parametrize(("ending", "version"), [("compressed.ply", 0), ("spz", 2), ("spz", 3), ("spz", 4)])
+def test_an_independent_library_reads_and_writes_the_same(tmp_path: Path, ending: str, version: int) -> None:
+    given, path, library = tame(700, 3, 7), tmp_path / f"a.{ending}", gaussforge.GaussForge()
+    if version:
+        save_spz(given, path, version)
+    else:
+        save_gaussians(given, path, keep_axes=True)
+    (tmp_path / "b.ply").write_bytes(library.convert(path.read_bytes(), ending, "ply")["data"])
+    ours, theirs = (load_gaussians(each, keep_axes=True) for each in (path, tmp_path / "b.ply"))
+    torch.testing.assert_close(theirs.means, ours.means, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(theirs.scales, ours.scales, rtol=1e-4, atol=0)
+    torch.testing.assert_close(theirs.sh, ours.sh, rtol=1e-4, atol=1e-5)
+    # In compressed PLY it keeps them away from 0 and 1.
+    torch.testing.assert_close(theirs.opacities, ours.opacities, rtol=0, atol=1e-4 if version else 2e-3)
+    assert float(angles(theirs.quats, ours.quats).max()) < 0.1
+    if version == 3:
+        save_gaussians(given, tmp_path / "c.ply")
+        path.write_bytes(library.convert((tmp_path / "c.ply").read_bytes(), "ply", ending)["data"])
+        written = load_gaussians(path, keep_axes=True)
+        torch.testing.assert_close(written.means, given.means, rtol=0, atol=2**-12)
+        torch.testing.assert_close(written.opacities, given.opacities, rtol=0, atol=1e-2)
 
 
 def test_a_converter_that_crashes_or_hangs_is_a_refusal(

@@ -6,13 +6,13 @@ import contextlib
 import struct
 import tracemalloc
 import unicodedata
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from tests.fuzzing.containers import PNG
 
 from messages import refuses
 from scoup.base import FileFormatError, MissingFileError
@@ -29,13 +29,12 @@ def camera_of(width=64, height=48, distortion=(), image_path=None) -> Camera:
 
 
 def test_png_round_trip(tmp_path):
-    image = torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8)
-    save_png(image, tmp_path / "deep" / "a.png")
-    assert torch.equal(load_image(camera_of(image_path=tmp_path / "deep" / "a.png")), image)
-    assert image_size(tmp_path / "deep" / "a.png") == (64, 48)
-    save_png(image[..., 0] > 100, tmp_path / "mask.png")
-    mask = load_image(camera_of(image_path=tmp_path / "mask.png"))
-    assert torch.equal(mask[..., 1] == 255, image[..., 0] > 100)
+    image, path = torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8), tmp_path / "deep" / "a.png"
+    save_png(image, path)
+    assert torch.equal(load_image(camera_of(image_path=path)), image)
+    assert image_size(path) == (64, 48)
+    save_png(image[..., 0] > 100, path, overwrite=True)
+    assert torch.equal(load_image(camera_of(image_path=path))[..., 1] == 255, image[..., 0] > 100)
     with refuses():
         save_png(image.float(), tmp_path / "b.png")
     assert not (tmp_path / "b.png").exists()
@@ -51,18 +50,18 @@ def test_image_comes_at_the_size_of_the_camera(tmp_path):
 
 
 def test_missing_and_damaged_images(tmp_path):
-    with refuses(MissingFileError):
-        load_image(camera_of())
-    with refuses(MissingFileError):
-        load_image(camera_of(image_path=tmp_path / "none.png"))
-    save_png(torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8), tmp_path / "a.png")
-    whole = (tmp_path / "a.png").read_bytes()
-    (tmp_path / "a.png").write_bytes(whole[: len(whole) // 2])
+    path = tmp_path / "a.png"
+    for missing in (None, path):
+        with refuses(MissingFileError):
+            load_image(camera_of(image_path=missing))
+    save_png(torch.randint(0, 256, (48, 64, 3), dtype=torch.uint8), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(FileFormatError, match="cannot be decoded"):
-        load_image(camera_of(image_path=tmp_path / "a.png"))
-    (tmp_path / "a.png").write_bytes(whole[:16] + b"\x7f\xff\xff\xff" * 2 + whole[24:])
+        load_image(camera_of(image_path=path))
+    path.write_bytes(whole[:16] + b"\x7f\xff\xff\xff" * 2 + whole[24:])
     with refuses(FileFormatError):
-        load_image(camera_of(image_path=tmp_path / "a.png"))
+        load_image(camera_of(image_path=path))
 
 
 def touched(folder: Path, *names: str) -> ImageFolder:
@@ -151,18 +150,12 @@ def test_pycolmap_agrees_on_the_lens_model():
 
 
 def test_folded_and_outside_pixels_are_empty():
-    camera = camera_of(distortion=(-0.9, 0.0, 0.0, 0.0))
-    positions = photograph_pixels(camera, 64, 48)
-    assert torch.isnan(positions[0, 0]).all()
-    labels = torch.ones(48, 64, dtype=torch.int32)
-    sampled = sample_nearest(labels, positions, -1)
-    assert sampled[0, 0] == -1
-    assert sampled[25, 31] == 1
-    # A cushion looks beyond the photograph.
-    positions = photograph_pixels(camera_of(distortion=(0.5, 0.1, 0.0, 0.0)), 64, 48)
-    assert sample_nearest(labels, positions, -1)[0, 0] == -1
-    nine = torch.full((48, 64, 3), 9, dtype=torch.uint8)
-    assert not sample_bilinear(nine, positions)[0, 0].any()
+    labels, nine = torch.ones(48, 64, dtype=torch.int32), torch.full((48, 64, 3), 9, dtype=torch.uint8)
+    for distortion, folded in (((-0.9, 0.0, 0.0, 0.0), True), ((0.5, 0.1, 0.0, 0.0), False)):  # and a cushion
+        positions = photograph_pixels(camera_of(distortion=distortion), 64, 48)
+        assert torch.isnan(positions[0, 0]).all() == folded
+        assert sample_nearest(labels, positions, -1)[[0, 25], [0, 31]].tolist() == [-1, 1]
+        assert not sample_bilinear(nine, positions)[0, 0].any()
 
 
 def test_undistorted_image_straightens(tmp_path):
@@ -179,15 +172,10 @@ def test_undistorted_image_straightens(tmp_path):
 
 def claiming(path: Path, width: int, height: int) -> Path:
     """A PNG of so many pixels in its header, and none in its data."""
-    chunks = [
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
-        (b"IDAT", b""),
-        (b"IEND", b""),
-    ]
-    parts = [b"\x89PNG\r\n\x1a\n"]
-    for kind, data in chunks:
-        parts += [struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(kind + data))]
-    path.write_bytes(b"".join(parts))
+    save_png(torch.zeros(8, 8, 3, dtype=torch.uint8), path)
+    whole = path.read_bytes()
+    header = struct.pack(">II", width, height) + PNG.split(whole)[0][8:]
+    path.write_bytes(PNG.join(whole, [header, b"", b""]))
     return path
 
 

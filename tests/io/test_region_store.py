@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import pytest
 import torch
 
 from cli_support import snapshot
-from io_samples import save_langsplat, some_cameras, some_regions, stored_view
+from io_samples import save_compact, save_langsplat, some_cameras, some_regions, stored_view
 from messages import refuses
 from scoup.base import MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
@@ -21,16 +21,13 @@ from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, RegionManifest
 from scoup.io.regions.store import Layout, RegionStore, read_view
 from scoup.io.regions.views import ViewRegions, match_stems
-from scoup.scene import LEVELS, RegionMap, Regions, resize_labels
+from scoup.scene import LEVELS, Cameras, RegionMap, Regions, resize_labels
 
 
 def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:
-    rng = np.random.default_rng(seed)
-    labels = {level: rng.integers(-1, 4, (6, 9)).astype(np.int32) for level in LEVELS}
-    embeddings = {level: rng.normal(size=(4, 5)).astype(np.float32) for level in LEVELS}
-    for item in labels.values():
-        item[0, :4] = np.arange(4)  # every region has a pixel
-    return ViewRegions(name, labels, {**embeddings}, photograph)
+    (camera,) = some_cameras(1, 9, 6)
+    regions = some_regions(Cameras([replace(camera, name=name)]), seed=seed)
+    return stored_view(regions, name, photograph=photograph)
 
 
 def manifest_of(**settings: object) -> RegionManifest:
@@ -40,17 +37,14 @@ def manifest_of(**settings: object) -> RegionManifest:
 @pytest.mark.parametrize("bits", [16, 32, None])
 def test_regions_come_back(tmp_path: Path, bits: int | None) -> None:
     cameras, folder = some_cameras(3), tmp_path / "language_features"
-    regions = some_regions(cameras)
     if bits is None:
+        regions = some_regions(cameras)
         save_regions(regions, folder)
         with pytest.raises(OutputExistsError):
             save_regions(regions, folder)
         save_regions(regions, folder, overwrite=True)
     else:
-        store = RegionStore.create(folder, RegionManifest.of("some/model", {}, bits))
-        store.begin()
-        for name in cameras.names:
-            store.write(stored_view(regions, name, f"f{bits // 8}"))
+        regions = save_compact(folder, cameras, bits)
     for place in (tmp_path, folder):
         again = load_regions(place, cameras)
         assert (again.levels, again.view_names) == (LEVELS, cameras.names)
@@ -72,15 +66,14 @@ def test_views_come_back_as_they_were_written(tmp_path: Path) -> None:
     store, stems = RegionStore.create(tmp_path / "a", manifest_of()), ["a.0001", "left/b"]
     assert not (tmp_path / "a").exists()
     store.begin()
-    written = dict(zip(stems, (view("a.0001.png", 2), view("left/b.png", 1)), strict=True))
+    written = {stem: view(f"{stem}.png", seed) for stem, seed in zip(stems, (2, 1), strict=True)}
     for stem, item in written.items():
-        size = store.write(item)
-        assert size == sum(path.stat().st_size for path in store.files(stem))
+        assert store.write(item) == sum(path.stat().st_size for path in store.files(stem))
     again = RegionStore.open(tmp_path / "a")
     assert (again.layout, again.manifest, again.stems()) == ("compact", manifest_of(), stems)
     for stem, item in written.items():
         opened = again.open_view(stem)
-        assert (opened.width, opened.height, opened.dim) == (9, 6, 5)
+        assert (opened.width, opened.height, opened.dim) == (9, 6, 8)
         assert sum(opened.counts.values()) == len(item) == 12
         read = read_view(opened)
         for level in LEVELS:
@@ -128,9 +121,8 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
 
 
 def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = RegionStore.create(tmp_path, manifest_of())
+    store, listed = RegionStore.create(tmp_path, manifest_of()), []
     store.begin()
-    listed: list[Path] = []
     for name in ("listdir", "scandir"):
 
         def counted(path: Path, function: Callable[[Path], Any]) -> Any:
@@ -160,40 +152,32 @@ def test_equal_names_in_several_folders(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         labels = store.views([name])[name].labels(["s"])[0]
         assert (labels == view(name, number).labels["s"]).all()
-    convert_regions(store.folder, tmp_path / "again")
-    convert_regions(store.folder, tmp_path / "again", overwrite=True)
+    for overwrite in (False, True):
+        convert_regions(store.folder, tmp_path / "again", overwrite=overwrite)
     assert RegionStore.open(tmp_path / "again").stems() == store.stems()
     with refuses():
         store.check_names(["a.jpg", "a.png"])
 
 
 def test_saving_needs_three_levels_of_one_size(tmp_path):
-    labels, rows = torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1)
-    with refuses():
-        save_regions(Regions.from_maps({"a": {"s": RegionMap(labels, rows)}}), tmp_path)
-    maps = {level: RegionMap(labels[:size], rows) for level, size in zip(LEVELS, (4, 4, 3), strict=True)}
-    with refuses():
-        save_regions(Regions.from_maps({"a": maps}), tmp_path)
-    same = {level: RegionMap(labels, rows) for level in LEVELS}
-    with refuses():
-        save_regions(Regions.from_maps({"a.jpg": same, "a.png": same}), tmp_path)
+    item = RegionMap(torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1))
+    same: dict[str, RegionMap] = dict.fromkeys(LEVELS, item)
+    smaller = replace(item, labels=item.labels[:3])
+    for maps in ({"a": {"s": item}}, {"a": {**same, "l": smaller}}, {"a.jpg": same, "a.png": same}):
+        with refuses():
+            save_regions(Regions.from_maps(maps), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("wanted", "there", "expected"),
-    [
-        (["K\u00fcche/a"], ["Ku\u0308che/a", "a"], {"K\u00fcche/a": "Ku\u0308che/a"}),
-        (["cam1/a", "cam2/b"], ["a", "b"], {"cam1/a": "a", "cam2/b": "b"}),  # LangSplat's
-        (["a"], ["images/a"], {"a": "images/a"}),
-        (["a.0001"], ["a"], {"a.0001": "a"}),
-        (["cam1/a", "cam2/a"], ["a"], {}),
-        (["a"], ["cam1/a", "cam2/a"], {}),
-        (["cam1/a"], ["cam2/a"], {}),
-        (["a.0000"], ["a.0001"], {}),
-    ],
-)
-def test_files_that_can_only_mean_an_image(
-    wanted: list[str], there: list[str], expected: dict[str, str]
-) -> None:
+@pytest.mark.parametrize(("wanted", "there", "expected"), [
+    (["K\u00fcche/a"], ["Ku\u0308che/a", "a"], {"K\u00fcche/a": "Ku\u0308che/a"}),
+    (["cam1/a", "cam2/b"], ["a", "b"], {"cam1/a": "a", "cam2/b": "b"}),  # LangSplat's
+    (["a"], ["images/a"], {"a": "images/a"}),
+    (["a.0001"], ["a"], {"a.0001": "a"}),
+    (["cam1/a", "cam2/a"], ["a"], {}),
+    (["a"], ["cam1/a", "cam2/a"], {}),
+    (["cam1/a"], ["cam2/a"], {}),
+    (["a.0000"], ["a.0001"], {}),
+])  # fmt: skip
+def test_files_that_can_only_mean_an_image(wanted: list[str], there: list[str], expected: Any) -> None:
     assert match_stems(wanted, there) == expected

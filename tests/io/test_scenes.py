@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -21,54 +21,56 @@ from io_samples import (
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
-from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
+from scoup.io import (
+    as_stored,
+    load_cameras,
+    load_gaussians,
+    load_image,
+    save_gaussians,
+    splat_source,
+    write_colmap,
+    write_transforms,
+)
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
-from scoup.io.cameras.colmap import write_colmap
-from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.scenes import camera_photographs
 from scoup.io.splats.ply import PlyTable
 from scoup.scene import sanity_problems
 
 
-def colmap_scene(folder: Path, count: int = 3, images: str | None = "images", divisor: int = 1) -> Path:
+def colmap_scene(
+    folder: Path, count: int = 3, images: str | None = "images", model: str = "sparse/0"
+) -> Path:
     cameras = some_cameras(count)
-    write_colmap(cameras, folder / "sparse" / "0")
+    write_colmap(cameras, folder / model)
     if images:
-        save_images(cameras, folder / images, divisor)
+        save_images(cameras, folder / images)
     return folder
 
 
 @pytest.mark.parametrize("name", ["sparse/0", "sparse", "colmap/sparse/0", "."])
-def test_colmap_folders(tmp_path, name):
+def test_colmap_folders(tmp_path, monkeypatch, name):
+    model = colmap_scene(tmp_path, model=name) / name
     cameras = some_cameras(3)
-    write_colmap(cameras, tmp_path / name)
-    save_images(cameras, tmp_path / "images")
-    for path in (tmp_path, tmp_path / name, tmp_path / name / "images.bin"):
+    for path in (tmp_path, model, model / "images.bin"):
         loaded = load_cameras(path)
         assert camera_difference(cameras, loaded) < 1e-12
-        assert [camera.image_path for camera in loaded] == [
-            tmp_path / "images" / each for each in cameras.names
-        ]
-
-
-def test_the_current_folder(tmp_path, monkeypatch):
-    colmap_scene(tmp_path)
-    monkeypatch.chdir(tmp_path / "sparse")
-    assert load_cameras("0")[0].image_path is not None
-    monkeypatch.chdir(tmp_path)
-    assert load_cameras(".")[0].image_path is not None
+        assert [each.image_path for each in loaded] == [tmp_path / "images" / each for each in cameras.names]
+    for current, path in ((model.parent, model.name), (tmp_path, ".")):
+        monkeypatch.chdir(current)
+        assert load_cameras(path)[0].image_path is not None
 
 
 def test_precedence(tmp_path):
     cameras = some_cameras(2, centered=True)
-    write_inria_cameras(cameras, tmp_path / "cameras.json")
-    assert find_cameras(tmp_path).format == "inria"
-    write_colmap(cameras, tmp_path / "colmap" / "sparse" / "0")
-    assert find_cameras(tmp_path).path == tmp_path / "colmap" / "sparse" / "0"
-    write_transforms(cameras, tmp_path / "transforms.json")
-    assert find_cameras(tmp_path).format == "nerfstudio"
-    write_colmap(cameras, tmp_path / "sparse" / "0")
-    assert find_cameras(tmp_path).format == "colmap"
+    for name, write, expected in (
+        ("cameras.json", write_inria_cameras, "inria"),
+        ("colmap/sparse/0", write_colmap, "colmap"),
+        ("transforms.json", write_transforms, "nerfstudio"),
+        ("sparse/0", write_colmap, "colmap"),
+    ):
+        write(cameras, tmp_path / name)
+        found = find_cameras(tmp_path)
+        assert (found.path, found.format) == (tmp_path / name, expected)
     (tmp_path / "point_cloud").mkdir()
     assert find_cameras(tmp_path).format == "inria"
 
@@ -87,15 +89,10 @@ def test_a_format_of_a_package(tmp_path, monkeypatch):
 
 
 def test_inria_names_get_their_extension_and_images_of_the_training_data(tmp_path):
-    cameras = some_cameras(3, centered=True)
-    data = tmp_path / "data"
+    cameras, data, output = some_cameras(3, centered=True), tmp_path / "data", tmp_path / "output"
     save_images(cameras, data / "images")
-    output = tmp_path / "output"
     write_inria_cameras(cameras, output / "cameras.json")
-    entries = json.loads((output / "cameras.json").read_text())
-    for entry in entries:
-        entry["img_name"] = entry["img_name"].split(".")[0]
-    (output / "cameras.json").write_text(json.dumps(entries))
+    (output / "cameras.json").write_text((output / "cameras.json").read_text().replace(".png", ""))
     (output / "cfg_args").write_text(f"Namespace(source_path={str(data)!r})")
     loaded = load_cameras(output)
     assert camera_difference(cameras, loaded) < 1e-12
@@ -105,26 +102,20 @@ def test_inria_names_get_their_extension_and_images_of_the_training_data(tmp_pat
         assert load_cameras(output).names == ("view_00", "view_01", "view_02")
 
 
-def test_only_scaled_images(tmp_path):
-    scene = colmap_scene(tmp_path, images="images_2", divisor=2)
-    camera = load_cameras(scene)[0]
-    assert (camera.width, camera.height) == (16, 12)
-    assert camera.fx == pytest.approx(30.5 / 2)
-    assert load_image(camera).shape == (12, 16, 3)
-
-
-def test_downscale(tmp_path):
-    scene = colmap_scene(tmp_path)
-    save_images(some_cameras(3), scene / "images_2", 2)
-    folders: dict[Literal[1, 2, 4, 8], str] = {1: "images", 2: "images_2", 4: "images", 8: "images"}
-    for factor, folder in folders.items():
-        camera = load_cameras(scene, downscale=factor)[0]
-        assert (camera.width, camera.height) == (32 // factor, 24 // factor)
-        assert camera.image_path == scene / folder / "view_00.png"
-        assert camera.K[0, 2] == pytest.approx(16.7 / factor)
-        assert load_image(camera).shape == (24 // factor, 32 // factor, 3)
-    with refuses():
-        load_cameras(scene, downscale=3)  # pyright: ignore[reportArgumentType]
+@pytest.mark.parametrize(("there", "downscale", "folder", "factor"), [
+    ([2], None, "images_2", 2),
+    *(([1, 2], factor, "images_2" if factor == 2 else "images", factor) for factor in (1, 2, 4, 8)),
+])  # fmt: skip
+def test_scaled_images(tmp_path: Path, there: list[int], downscale: Any, folder: str, factor: int) -> None:
+    colmap_scene(tmp_path, images=None)
+    for divisor in there:
+        save_images(some_cameras(3), tmp_path / ("images_2" if divisor == 2 else "images"), divisor)
+    camera = load_cameras(tmp_path, downscale=downscale)[0]
+    assert (camera.width, camera.height) == (32 // factor, 24 // factor)
+    assert camera.image_path == tmp_path / folder / "view_00.png"
+    expected = [30.5 / factor, 0, 16.7 / factor, 0, 31.25 / factor, 10.7 / factor]
+    assert camera.K[:2].flatten().tolist() == pytest.approx(expected)
+    assert load_image(camera).shape == (24 // factor, 32 // factor, 3)
 
 
 def test_missing_images(tmp_path):
@@ -185,10 +176,11 @@ def test_no_cameras(tmp_path):
     (tmp_path / "a.ply").write_text("ply")
     with refuses(FileFormatError):
         load_cameras(tmp_path / "a.ply")
-    with refuses():
-        load_cameras(tmp_path, distorted="ignore")  # pyright: ignore[reportArgumentType]
-    with refuses():
-        load_cameras(tmp_path, missing_images="drop")  # pyright: ignore[reportArgumentType]
+    colmap_scene(tmp_path)
+    wrong: list[dict[str, Any]] = [{"distorted": "ignore"}, {"missing_images": "drop"}, {"downscale": 3}]
+    for option in wrong:
+        with refuses():
+            load_cameras(tmp_path, **option)
 
 
 def test_gaussians_of_every_kind(tmp_path):
@@ -210,12 +202,9 @@ def test_gaussians_of_every_kind(tmp_path):
 
 
 def test_far_from_the_origin_is_refused_and_5_km_are_not(tmp_path):
-    gaussians = some_gaussians(50)
     for name, shift in (("near.ply", (5000.0, -4000.0, 0.0)), ("utm.ply", (500000.0, 4649776.0, 120.0))):
-        table = PlyTable.of(gaussians)
-        for axis, value in zip("xyz", shift, strict=True):
-            table = table.with_column(axis, table.rows[axis].astype(np.float64) + value)
-        table.write(tmp_path / name)
+        given = some_gaussians(50)
+        PlyTable.of(replace(given, means=given.means + torch.tensor(shift))).write(tmp_path / name)
     assert len(load_gaussians(tmp_path / "near.ply")) == 50
     with refuses(FileFormatError):
         load_gaussians(tmp_path / "utm.ply")
@@ -239,8 +228,27 @@ def test_no_gaussians(tmp_path):
     with refuses(MissingFileError):
         load_gaussians(tmp_path)
     (tmp_path / "a.txt").write_bytes(b"x")
-    with refuses(FileFormatError):
-        load_gaussians(tmp_path / "a.txt")
     save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
-    with refuses(FileFormatError):
-        load_gaussians(tmp_path / "empty.ply")
+    for name in ("a.txt", "empty.ply"):
+        with refuses(FileFormatError):
+            load_gaussians(tmp_path / name)
+
+
+def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
+    for part, count in (("train", 3), ("test", 2)):
+        cameras = some_cameras(count)
+        save_images(cameras, tmp_path / part)
+        write_transforms(cameras, tmp_path / "transforms.json", overwrite=True)
+        content = json.loads((tmp_path / "transforms.json").read_text())
+        for frame in content["frames"]:
+            frame["file_path"] = frame["file_path"].replace("images", f"./{part}").removesuffix(".png")
+        (tmp_path / f"transforms_{part}.json").write_text(json.dumps(content))
+    (tmp_path / "transforms.json").unlink()
+    loaded = load_cameras(tmp_path)
+    assert camera_difference(loaded, some_cameras(3)) < 1e-12
+    assert loaded[0].image_path == tmp_path / "train/view_00.png"
+    assert [item.path for item in find_photographs(tmp_path)] == [camera.image_path for camera in loaded]
+    (tmp_path / "transforms_train.json").unlink()
+    with refuses(MissingFileError):
+        load_cameras(tmp_path)
+    assert len(load_cameras(tmp_path / "transforms_test.json")) == 2

@@ -11,20 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import zstandard
 from splat_damages import AXES
 from splat_damages import spz as packed
 
-from io_samples import angles, same_gaussians, save_spz, some_gaussians, tame
+from io_samples import same_gaussians, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import FileFormatError, ScoupWarning
 from scoup.io import load_gaussians
-from scoup.io.splats.ply import write_ply
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
 from scoup.scene import Gaussians, rotation_matrices, sh_basis
 from support import unit
-
-# Steps of the stored values, halved, with a little for float32.
 
 
 def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
@@ -60,60 +58,21 @@ def test_the_layout_of_version_3_is_niantics(tmp_path: Path) -> None:
     assert len(body) == 29
 
 
-@pytest.mark.parametrize("version", [2, 3, 4])
-def test_an_independent_library_reads_the_same(tmp_path: Path, version: int) -> None:
-    """gaussforge leaves the axes of the file as they are; the values are the same."""
-    gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
-    given = tame(50, 3, 7)
-    save_spz(given, tmp_path / "a.spz", version)
-    ours = read_spz(tmp_path / "a.spz")
-    library = gaussforge.GaussForge()
-    (tmp_path / "a.ply").write_bytes(library.convert((tmp_path / "a.spz").read_bytes(), "spz", "ply")["data"])
-    theirs = load_gaussians(tmp_path / "a.ply")
-    axes = torch.tensor([1.0, -1.0, -1.0])
-    assert torch.allclose(theirs.means * axes, ours.means, atol=1e-5)
-    assert torch.allclose(theirs.scales, ours.scales, rtol=1e-4)
-    assert torch.allclose(theirs.opacities, ours.opacities, atol=1e-4)
-    turned = torch.cat([theirs.quats[:, :1], theirs.quats[:, 1:] * axes], 1)
-    assert float(angles(turned, ours.quats).max()) < 0.1
-    odd = [1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+"]
-    assert torch.allclose(theirs.sh[:, 1:] * torch.tensor(odd)[:, None], ours.sh[:, 1:], atol=1e-5)
-    write_ply(given, tmp_path / "b.ply")
-    (tmp_path / "b.spz").write_bytes(library.convert((tmp_path / "b.ply").read_bytes(), "ply", "spz")["data"])
-    written = read_spz(tmp_path / "b.spz")
-    assert torch.allclose(written.means * axes, given.means, atol=2**-12)
-    assert torch.allclose(written.opacities, ours.opacities, atol=1e-2)
-
-
-def test_colours_turn_with_the_axes() -> None:
-    """A Gaussian shows the same colour from the same side: the signs of the harmonics are those of y and z turned
-    round."""
-    directions = unit(torch.randn(9, 3, generator=torch.Generator().manual_seed(1)))
-    flipped = directions * torch.tensor([1.0, -1.0, -1.0])
-    signs = torch.tensor([1.0 if sign == "+" else -1.0 for sign in "--+-++-+-+--+-+-+-++-+--"])
-    found, expected = sh_basis(flipped, 4), sh_basis(directions, 4) * signs
-    # But for the last one, which the format's own tools turn, although it is even in both.
-    assert torch.allclose(found[:, :23], expected[:, :23], atol=1e-5)
-
-
 def test_ugly_values_are_mended(tmp_path: Path) -> None:
-    ugly = some_gaussians(4, 0)
-    scales = torch.tensor([[0.0, 1e-30, 1.0], [1e30, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    ugly, scales = some_gaussians(4, 0), torch.ones(4, 3)
+    scales[:2, 0] = torch.tensor([0.0, 1e30])
     opacities = torch.tensor([0.0, 1.0, torch.inf, -0.5])
     with warns(ScoupWarning):
         write_spz(replace(ugly, scales=scales, opacities=opacities), tmp_path / "a.spz")
     found = read_spz(tmp_path / "a.spz")
     assert found.opacities.tolist() == [0.0, 1.0, 1.0, 0.0]
-    assert found.scales[0, 0] == pytest.approx(np.exp(-10), rel=1e-4)
-    assert found.scales[1, 0] == pytest.approx(np.exp(255 / 16 - 10), rel=1e-4)
+    assert found.scales[:2, 0].log().tolist() == pytest.approx([-10, 255 / 16 - 10], abs=1e-4)
     with refuses():  # beyond the 24 bits of the format
         write_spz(replace(ugly, means=torch.full((4, 3), 1e9)), tmp_path / "b.spz")
     assert not (tmp_path / "b.spz").exists()
 
 
 def test_degree_4_is_for_version_4(tmp_path: Path) -> None:
-    import zstandard
-
     given = tame(5, 4, 3)
     write_spz(given, tmp_path / "a.spz", True, 4)
     found = read_spz(tmp_path / "a.spz")
@@ -190,8 +149,6 @@ def test_gzip_of_any_library(tmp_path: Path, content: bytes, said: str) -> None:
 
 
 def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
-    import zstandard
-
     with refuses(FileFormatError):
         _unpacked(tmp_path / "a.spz", zstandard.ZstdCompressor().compress(b"abc"), 4)
 
@@ -199,10 +156,11 @@ def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [3, 4])
 def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None:
     """Gaussians that are all alike, which take next to no bytes: some are read, very many are not."""
-    one = some_gaussians(1, degree=0)
+    one, path = some_gaussians(1, degree=0), tmp_path / "a.spz"
     for count in (50_000, 300_000):
         many = Gaussians(*(part.expand(count, *part.shape[1:]) for part in one.tensors().values()))
-        write_spz(many, tmp_path / f"{count}.spz", version=version)
-    assert len(load_gaussians(tmp_path / "50000.spz")) == 50_000
+        write_spz(many, path, overwrite=True, version=version)
+        if count == 50_000:
+            assert len(load_gaussians(path)) == count
     with pytest.raises(FileFormatError, match="says 300,000 Gaussians, more than"):
-        load_gaussians(tmp_path / "300000.spz")
+        load_gaussians(path)

@@ -1,17 +1,28 @@
-"""Output folders of nerfstudio and gsplat: the splat, and cameras in its frame, by naming the folder."""
+"""Checkpoints of gsplat, nerfstudio, LangSplatV2 and LangSplat's autoencoder, and the folders of trainings: the splat,
+and cameras in its frame."""
 
 from __future__ import annotations
 
 import json
+import zipfile
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from foreign_samples import save_results, save_run, some_similarity
-from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
+from foreign_samples import (
+    LangSplatAutoencoder,
+    save_langsplatv2,
+    save_results,
+    save_run,
+    save_splatfacto,
+    some_similarity,
+)
+from io_samples import APPLIED, save_checkpoint, save_images, some_cameras, some_gaussians
 from messages import refuses
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io import (
@@ -22,45 +33,133 @@ from scoup.io import (
     write_colmap,
     write_transforms,
 )
+from scoup.io.langsplat_checkpoint import read_langsplat
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
 from scoup.scene import Cameras, Gaussians
+
+
+def save_nerfstudio(given: Gaussians, path: Path, older: bool = False) -> None:
+    save_run(path.parents[1], "data/kitchen")
+    save_splatfacto(some_gaussians(4, 0), path.with_name("step-000009999.ckpt"), older)
+    save_splatfacto(given, path, older)
+
+
+RUN = "kitchen/splatfacto/2026-01-01_000000"
+CHECKPOINTS = {
+    "gsplat": (save_checkpoint, "ckpts/ckpt_99_rank0.pt", "."),
+    "nerfstudio": (save_nerfstudio, f"{RUN}/nerfstudio_models/step-000029999.ckpt", RUN),
+    "older": (partial(save_nerfstudio, older=True), f"{RUN}/nerfstudio_models/step-000029999.ckpt", RUN),
+    "LangSplatV2": (save_langsplatv2, "chkpnt10000.pth", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+@pytest.mark.parametrize("name", CHECKPOINTS)
+def test_what_trainers_write_is_read(tmp_path: Path, name: str, degree: int) -> None:
+    given, (save, file, folder) = some_gaussians(9, degree), CHECKPOINTS[name]
+    given.sh.clamp_(-1, 1)
+    saved = save(given, tmp_path / file)
+    if folder is None:
+        read = read_langsplat(tmp_path / file)
+        assert np.array_equal(read.values[:, 0], saved[0].numpy())
+        assert read.codebooks is not None
+        assert np.array_equal(read.codebooks, saved[1].numpy())
+        found = [read.gaussians]
+    else:
+        places = (tmp_path / file, tmp_path / folder)
+        found = [load_gaussians(place) for place in places]
+        assert {splat_source(place).preset for place in places} == {"gsplat"}
+    for each, (part, tensor) in product(found, given.tensors().items()):
+        torch.testing.assert_close(each.tensors()[part], tensor, rtol=1e-5, atol=2e-6)
+        if part == "means" or (part == "sh" and name in ("gsplat", "LangSplatV2")):
+            assert each.tensors()[part].equal(tensor)
+
+
+def test_all_ranks_of_the_latest_step_in_order(tmp_path):
+    folder = tmp_path / "ckpts"
+    for step, rank in ((7, 0), (7, 1), (30, 1), (30, 0), (30, 10)):
+        save_checkpoint(some_gaussians(3, seed=step + rank), folder / f"ckpt_{step}_rank{rank}.pt")
+    with refuses(MissingFileError):
+        read_gsplat_checkpoint(tmp_path)
+    (folder / "ckpt_30_rank10.pt").unlink()
+    assert [path.name for path in latest_ranks(tmp_path)] == ["ckpt_30_rank0.pt", "ckpt_30_rank1.pt"]
+    expected = torch.cat([some_gaussians(3, seed=seed).means for seed in (30, 31)])
+    assert torch.equal(read_gsplat_checkpoint(folder).means, expected)
+    (folder / "ckpt_30_rank1.pt").unlink()
+    with refuses(MissingFileError):  # which step 7 has
+        read_gsplat_checkpoint(tmp_path)
+
+
+def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> None:
+    given = some_gaussians(7, 0)
+    given.means[2] = torch.nan
+    logits, _ = save_langsplatv2(given, tmp_path / "a.pth")
+    with pytest.warns(match="dropped 1 of 7"):
+        found = read_langsplat(tmp_path / "a.pth")
+    assert np.array_equal(found.values[:, 0], logits.numpy()[[0, 1, 3, 4, 5, 6]])
+
+
+def test_the_autoencoder_decodes_as_langsplats_does(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = LangSplatAutoencoder([24, 8, 3], [8, 24, 32], dim=32).eval()
+    torch.save(network.state_dict(), tmp_path / "best_ckpt.pth")
+    with torch.no_grad():
+        codes = network.encode(torch.nn.functional.normalize(torch.randn(9, 32), dim=1))
+        expected = network.decode(codes)
+    codes[4] = expected[4] = 0
+    decode = read_autoencoder(tmp_path / "best_ckpt.pth")
+    found = decode(codes.numpy())
+    assert found.dtype == np.float32
+    assert not found[4].any()
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-6)
+    with refuses():
+        decode(np.zeros((2, 5)))
+
+
+def test_archives_that_libraries_refuse(tmp_path: Path) -> None:
+    """In words that are theirs: an archive of other content, and one in several parts."""
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("hello.txt", "hello")
+    locator = b"PK\6\7" + bytes(12) + (2).to_bytes(4, "little")
+    for content in ((tmp_path / "a.pt").read_bytes(), locator + b"PK\5\6" + bytes(18)):
+        (tmp_path / "a.pt").write_bytes(content)
+        with pytest.raises(FileFormatError, match="cannot be loaded"):
+            load_gaussians(tmp_path / "a.pt")
+
+
+COLMAP = "colmap_dataparser.ColmapDataParserConfig"
 
 
 def pixels(gaussians: Gaussians, cameras: Cameras) -> torch.Tensor:
     """[V, N, 2] where each mean is seen."""
-    seen = []
-    for camera in cameras:
-        points = gaussians.means.double() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        image = points @ camera.K.T
-        seen.append(image[:, :2] / image[:, 2:])
-    return torch.stack(seen)
+    return torch.stack([camera.pixels(gaussians.means.double())[0] for camera in cameras])
 
 
 def moved(gaussians: Gaussians, transform: np.ndarray) -> Gaussians:
     """The means in another world."""
     matrix = torch.from_numpy(transform)
-    means = (gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float()
-    return Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    return replace(gaussians, means=(gaussians.means.double() @ matrix[:3, :3].T + matrix[:3, 3]).float())
 
 
-def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    save_run(run, "data")
+@pytest.mark.parametrize("place", ["splat.ply", "exports/splat/splat.ply"])
+def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path, place: str) -> None:
+    save_run(tmp_path, "data")
     with refuses(MissingFileError):
-        load_gaussians(run)
-    (run / "exports" / "splat").mkdir(parents=True)
-    save_gaussians(some_gaussians(5), run / "exports" / "splat" / "splat.ply")
-    assert len(load_gaussians(run)) == 5
-    assert splat_source(run).preset == "gsplat"
-    (run / "nerfstudio_models").mkdir()
+        load_gaussians(tmp_path)
+    save_gaussians(some_gaussians(5), tmp_path / place)
+    assert len(load_gaussians(tmp_path)) == 5
+    source = splat_source(tmp_path)
+    assert (source.path, source.kind.name, source.preset) == (tmp_path / place, "Inria PLY", "gsplat")
+    assert splat_source(tmp_path / place).preset == "inria"
+    (tmp_path / "nerfstudio_models").mkdir()
     other = {"pipeline": {"_model.field.mlp": torch.zeros(3)}}
-    torch.save(other, run / "nerfstudio_models/step-000000001.ckpt")
+    torch.save(other, tmp_path / "nerfstudio_models/step-000000001.ckpt")
     with refuses(FileFormatError):
-        load_gaussians(run)
+        load_gaussians(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "parser", ["nerfstudio_dataparser.NerfstudioDataParserConfig", "colmap_dataparser.ColmapDataParserConfig"]
-)
+@pytest.mark.parametrize("parser", ["nerfstudio_dataparser.NerfstudioDataParserConfig", COLMAP])
 @pytest.mark.parametrize("absolute", [True, False])
 def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: bool) -> None:
     """The splat was trained where dataparser_transforms.json puts the original world, applied_transform included."""
@@ -72,12 +171,11 @@ def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: b
         write_colmap(world, data / "sparse/0")
     else:
         # What ns-process-data did to the cameras is written beside them, and is part of the transform of the run.
-        applied = np.array([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0.0]])
-        (data / "x").mkdir(parents=True)
+        applied, file = np.array(APPLIED), data / "transforms.json"
+        data.mkdir(parents=True)
         processed = Cameras(camera.moved(applied[:, :3], applied[:, 3], 1.0) for camera in world)
-        write_transforms(processed, data / "transforms.json")
-        content = json.loads((data / "transforms.json").read_text())
-        (data / "transforms.json").write_text(json.dumps({**content, "applied_transform": applied.tolist()}))
+        write_transforms(processed, file)
+        file.write_text(json.dumps({**json.loads(file.read_text()), "applied_transform": APPLIED}))
     save_images(world, data / "images")
     save_run(run, str(data) if absolute else "somewhere/else/data/kitchen", parser)
     found = load_cameras(run)
@@ -95,7 +193,7 @@ def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
     with refuses(MissingFileError):
         load_cameras(run)
     write_colmap(some_cameras(2), tmp_path / "my-kitchen/sparse/0")
-    save_run(run, "/nowhere/my-kitchen", "colmap_dataparser.ColmapDataParserConfig")
+    save_run(run, "/nowhere/my-kitchen", COLMAP)
     assert len(load_cameras(run, missing_images="keep")) == 2
     (run / "nerfstudio_models").mkdir()
     (run / "dataparser_transforms.json").unlink()
@@ -222,12 +320,11 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
 def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(20, 3))
     write_colmap(some_cameras(3), tmp_path / "sparse/0", (points, np.zeros((20, 3), np.uint8)))
-    save_results(tmp_path, tmp_path)
     (tmp_path / "ckpts").mkdir()
-    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
-    (tmp_path / "cfg.yml").unlink()
-    save_run(tmp_path, str(tmp_path), "colmap_dataparser.ColmapDataParserConfig")
-    assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+    for save in (lambda: save_results(tmp_path, tmp_path), lambda: save_run(tmp_path, str(tmp_path), COLMAP)):
+        save()
+        assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+        (tmp_path / "cfg.yml").unlink(missing_ok=True)
 
 
 def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,7 +332,7 @@ def test_other_data_of_the_same_name_are_not_taken(tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
     write_colmap(some_cameras(2), tmp_path / "project/data/sparse/0")
-    save_run(tmp_path / "project/run", "data", "colmap_dataparser.ColmapDataParserConfig")
+    save_run(tmp_path / "project/run", "data", COLMAP)
     assert len(load_cameras(tmp_path / "project/run", missing_images="keep")) == 2
 
 

@@ -72,12 +72,11 @@ def test_values_keep_their_bits_in_a_stage_with_y_up(tmp_path: Path, suffix: str
 
 
 def test_a_package_begins_at_byte_64_and_has_no_time_of_day(tmp_path: Path) -> None:
-    save_gaussians(some_gaussians(20), tmp_path / "a.usdz")
-    save_gaussians(some_gaussians(20), tmp_path / "b.usdc")
+    for name in ("a.usdz", "b.usdc"):
+        save_gaussians(some_gaussians(20), tmp_path / name)
     with zipfile.ZipFile(tmp_path / "a.usdz") as package:
         (entry,) = package.infolist()
-    assert entry.compress_type == zipfile.ZIP_STORED
-    assert entry.date_time == (1980, 1, 1, 0, 0, 0)
+    assert (entry.compress_type, entry.date_time) == (zipfile.ZIP_STORED, (1980, 1, 1, 0, 0, 0))
     assert (tmp_path / "a.usdz").read_bytes()[64 : 64 + entry.file_size] == (tmp_path / "b.usdc").read_bytes()
 
 

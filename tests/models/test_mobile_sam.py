@@ -1,7 +1,8 @@
-"""MobileSAM: its checkpoint under the names of its authors, and its real weights where they are at hand."""
+"""MobileSAM: its checkpoint under the names of its authors, and TinyViT against its formulas written out."""
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 from copy import deepcopy
@@ -12,12 +13,14 @@ import pytest
 import torch
 import transformers
 from torch import Tensor
+from torch.nn import functional
 
 from mask_samples import smooth_image
 from scoup.base import MissingFileError, ScoupError
 from scoup.models.mobile_sam import _empty_model
 from scoup.models.sam import Sam, SamImage, open_sam
 from scoup.models.sam_decoder import SharedDecoder
+from scoup.models.tiny_vit import TinyViT, _Attention, _Block
 from tiny_models import lively
 
 POINTS = torch.tensor([[5.5, 5.0], [60.0, 20.25]], dtype=torch.float64)
@@ -25,9 +28,7 @@ POINTS = torch.tensor([[5.5, 5.0], [60.0, 20.25]], dtype=torch.float64)
 
 def in_checkpoint(name: str) -> str:
     """The authors' name of a weight, written out the other way round."""
-    name = name.replace("vision_encoder.", "image_encoder.").replace(
-        "layer_norm_final_attn", "norm_final_attn"
-    )
+    name = name.replace("vision_encoder.", "image_encoder.").replace("layer_norm_final", "norm_final")
     if name == "shared_image_embedding.positional_embedding":
         return "prompt_encoder.pe_layer.positional_encoding_gaussian_matrix"
     if name.startswith("prompt_encoder.point_embed."):
@@ -55,10 +56,8 @@ def model():
 def weights(model) -> dict[str, Tensor]:
     twice = "prompt_encoder.shared_embedding.positional_embedding"
     given = {in_checkpoint(name): value for name, value in model.state_dict().items() if name != twice}
-    return given | {
-        "image_encoder.norm_head.weight": torch.ones(320),
-        "image_encoder.head.bias": torch.zeros(9),
-    }
+    unused = {"image_encoder.norm_head.weight": torch.ones(320), "image_encoder.head.bias": torch.zeros(9)}
+    return given | unused
 
 
 @pytest.fixture(scope="module")
@@ -113,16 +112,11 @@ def test_other_files_are_refused(weights, tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="there is no such checkpoint; fetch https://"):
         open_sam(str(path))
     name = "mask_decoder.iou_token.weight"
-    for changed in (
-        {key: value for key, value in weights.items() if key != name},
-        weights | {name: torch.zeros(1, 8)},
-        weights | {"more": torch.zeros(1)},
-        [1, 2],
-    ):
+    without = {key: value for key, value in weights.items() if key != name}
+    said = r"other.pt' cannot be loaded: it (is not MobileSAM|contains no weights)"
+    for changed in (without, weights | {name: torch.zeros(1, 8)}, weights | {"more": torch.zeros(1)}, [1, 2]):
         torch.save(changed, path)
-        with pytest.raises(
-            ScoupError, match=r"other.pt' cannot be loaded: it (is not MobileSAM|contains no weights)"
-        ):
+        with pytest.raises(ScoupError, match=said):
             open_sam(str(path))
     pointer = b"version https://git-lfs.github.com/spec/v1\n"
     for content, said in ((b"no archive", "cannot be loaded"), (pointer, "is a pointer of Git LFS")):
@@ -152,3 +146,66 @@ def test_the_decoder_for_many_points_gives_the_numbers_of_transformers(
     torch.testing.assert_close(shared[1], plain[1], atol=1e-4, rtol=1e-4)
     assert float(plain[0].std()) > 0.01
     assert np.isfinite(shared[0].numpy()).all()
+
+
+@pytest.mark.parametrize("window", [3, 4])
+@torch.inference_mode()
+def test_attention_has_a_bias_for_each_distance(window: int) -> None:
+    torch.manual_seed(window)
+    attention = lively(_Attention(8, 2, window)).eval()
+    tokens = torch.randn(window * window, 8)
+    normal = functional.layer_norm(tokens, (8,), attention.norm.weight, attention.norm.bias)
+    # Query, key and value of a head lie side by side, head after head.
+    heads = attention.qkv(normal).view(-1, 2, 3, 4)
+    numbers: dict[tuple[int, int], int] = {}
+    places = [(y, x) for y in range(window) for x in range(window)]
+    for y, x in places:
+        for other_y, other_x in places:
+            numbers.setdefault((abs(y - other_y), abs(x - other_x)), len(numbers))
+    rows = []
+    for i, (y, x) in enumerate(places):
+        row = []
+        for head in range(2):
+            scores = [
+                float(heads[i, head, 0] @ heads[j, head, 1]) / math.sqrt(4)
+                + float(attention.attention_biases[head, numbers[abs(y - b), abs(x - a)]])
+                for j, (b, a) in enumerate(places)
+            ]
+            shares = torch.tensor(scores).softmax(0)
+            row.append(sum(shares[j] * heads[j, head, 2] for j in range(len(places))))
+        rows.append(torch.cat(row))
+    wanted = attention.proj(torch.stack(rows))
+    torch.testing.assert_close(attention(tokens[None])[0], wanted, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(4, 4), (8, 4), (5, 7), (3, 9)])
+def test_windows_cover_the_image_row_by_row_and_padding_is_cut_off(size: tuple[int, int]) -> None:
+    torch.manual_seed(0)
+    block = lively(_Block(8, 2, 4)).eval()
+    image = torch.randn(1, 8, *size)
+    height, width = size
+    padded = torch.zeros(8, -(-height // 4) * 4, -(-width // 4) * 4)
+    padded[:, :height, :width] = image[0]
+    attended = torch.zeros_like(padded)
+    for top in range(0, padded.shape[1], 4):
+        for left in range(0, padded.shape[2], 4):
+            tokens = padded[:, top : top + 4, left : left + 4].flatten(1).T
+            mixed: Tensor = block.attn(tokens[None])[0]
+            attended[:, top : top + 4, left : left + 4] = mixed.T.view(8, 4, 4)
+    torch.testing.assert_close(block._attend(image)[0], attended[:, :height, :width], atol=1e-5, rtol=1e-5)
+
+
+def test_an_image_gives_embeddings_at_a_sixteenth_of_its_size_folded_or_not() -> None:
+    torch.manual_seed(0)
+    model = lively(TinyViT((8, 8, 16, 16), (1, 1, 2, 1), (1, 2, 2, 4), (7, 3, 4, 3), neck=12))
+    image, other = torch.randn(2, 1, 3, 64, 64)
+    with torch.no_grad():
+        for _ in range(20):
+            model(image)  # gives normalisations of batches something to do
+    model.eval()
+    with torch.inference_mode():
+        first, second = model(image)[0], model(other)[0]
+        model.fold()
+        torch.testing.assert_close(model(image)[0], first, atol=1e-5, rtol=1e-4)
+    assert first.shape == (1, 12, 4, 4)
+    assert not torch.allclose(first, second, atol=1e-3)

@@ -1,23 +1,36 @@
-"""SAM of three generations: real loading and forward passes of tiny random models, fed by hand for comparison."""
+"""SAM of three generations and models that take words: real classes with tiny random weights, also fed by hand."""
 
 from __future__ import annotations
 
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch.nn import functional
 
+import tiny_models
 from mask_samples import smooth_image
-from scoup.base import ScoupError
+from messages import refuses
+from scoup.base import ScoupError, UnknownNameError
+from scoup.models.concepts import LEAST_SCORE, MOST_BOXES, SAME_BOX, best_boxes, open_concepts
+from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
 from scoup.models.sam import open_sam
-from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
+from scoup.uplift.naming import box_ious
+from tiny_models import TINY_SAMS, TINY_WORDS, save_grounding_dino, save_owl, save_sam3_concepts, saved
 
 SIZES = [(48, 60), (90, 40), (64, 64), (33, 7)]
 POINTS = torch.tensor([[5.5, 5.0], [3.0, 20.25], [6.0, 31.0]], dtype=torch.float64)
+
+
+def pixels_by_hand(image: np.ndarray, width: int, height: int, normalization: Normalization) -> torch.Tensor:
+    scaled = np.array(Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR))
+    values = (scaled / 255 - normalization.mean) / normalization.std
+    return torch.from_numpy(values).float().permute(2, 0, 1)[None]
 
 
 @pytest.fixture(scope="module", params=list(TINY_SAMS))
@@ -40,28 +53,19 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
         high, wide = int(height * side / longer + 0.5), int(width * side / longer + 0.5)
     else:
         high = wide = side
-    from PIL import Image
-
-    scaled = np.asarray(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
-    mean, std = (
-        (0.5, 0.5) if kind == "sam3" else (np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225]))
-    )
-    pixels = np.zeros((side, side, 3))
-    pixels[:high, :wide] = (scaled / 255 - mean) / std
+    pixels = torch.zeros(1, 3, side, side)
+    pixels[..., :high, :wide] = pixels_by_hand(image, wide, high, HALF if kind == "sam3" else IMAGENET)
     points = POINTS * torch.tensor([wide / width, high / height])
     with torch.inference_mode():
         answer = model(
-            pixel_values=torch.from_numpy(pixels).float().permute(2, 0, 1)[None],
+            pixel_values=pixels,
             input_points=points.float()[None, :, None],
             input_labels=torch.ones(1, len(points), 1, dtype=torch.int32),
             multimask_output=True,
         )
     masks = answer.pred_masks[0]
-    if kind == "sam":
-        whole = functional.interpolate(masks, (side, side), mode="bilinear", align_corners=False)
-        large = functional.interpolate(whole[..., :high, :wide], size, mode="bilinear", align_corners=False)
-    else:
-        large = functional.interpolate(masks, size, mode="bilinear", align_corners=False)
+    whole = functional.interpolate(masks, (side, side), mode="bilinear") if kind == "sam" else masks
+    large = functional.interpolate(whole[..., :high, :wide], size, mode="bilinear")
     encoded = opened.encode(image)
     logits, iou = encoded.predict(POINTS)
     assert logits.shape == masks.shape
@@ -76,7 +80,7 @@ def test_answers_are_those_of_the_model_fed_by_hand(loaded, size) -> None:
 
 
 def test_video_models_are_used_as_image_models(tmp_path: Path) -> None:
-    video = tiny_sam2_video()
+    video = tiny_models.tiny_sam2_video()
     opened = open_sam(str(saved(video, tmp_path)))
     weights = dict(video.named_parameters())
     own = dict(opened.model.named_parameters())
@@ -89,36 +93,134 @@ def test_video_models_are_used_as_image_models(tmp_path: Path) -> None:
 def test_trimmed_masks_show_the_image_alone(loaded) -> None:
     kind, _, opened = loaded
     encoded = opened.encode(smooth_image(30, 60))
-    logits, _ = encoded.predict(POINTS)
-    trimmed = encoded.without_padding(logits.flatten(0, 1))
-    height, width = logits.shape[-2:]
-    assert tuple(trimmed.shape[-2:]) == ((height // 2, width) if kind == "sam" else (height, width))
-    assert torch.equal(trimmed, logits.flatten(0, 1)[:, : trimmed.shape[1], : trimmed.shape[2]])
+    logits = encoded.predict(POINTS)[0].flatten(0, 1)
+    height = logits.shape[1] // 2 if kind == "sam" else logits.shape[1]
+    assert torch.equal(encoded.without_padding(logits), logits[:, :height])
 
 
 def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
     image = smooth_image(20, 30)
-    plain = open_sam(str(saved(tiny_sam(), tmp_path / "plain")))
+    plain = open_sam(str(saved(TINY_SAMS["sam"](), tmp_path / "plain")))
     logits = plain.encode(image).predict(POINTS)[0]
     usual = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
     for name, (mean, std) in {"same": usual, "other": ([0.1, 0.2, 0.3], [1, 1, 1])}.items():
-        named = open_sam(str(saved(tiny_sam(), tmp_path / name, image_mean=mean, image_std=std)))
+        named = open_sam(str(saved(TINY_SAMS["sam"](), tmp_path / name, image_mean=mean, image_std=std)))
         found = named.encode(image).predict(POINTS)[0]
         assert torch.allclose(found, logits, atol=1e-3) == (name == "same")
 
 
-def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:
-    with pytest.raises(ScoupError, match=r"segmenter 'sam-vit-h' cannot be loaded: .*felzenszwalb"):
-        open_sam("sam-vit-h")
-    with pytest.raises(ScoupError, match="'clip' is not a SAM model"):
-        open_sam(str(saved(tiny_clip(), tmp_path / "clip")))
-    folder = saved(tiny_sam(), tmp_path / "pickled")
+def test_pickled_weights_and_models_of_newer_packages_are_refused(tmp_path: Path, monkeypatch) -> None:
+    folder = saved(TINY_SAMS["sam"](), tmp_path / "pickled")
     (folder / "model.safetensors").unlink()
-    torch.save(tiny_sam().state_dict(), folder / "pytorch_model.bin")
+    torch.save(TINY_SAMS["sam"]().state_dict(), folder / "pytorch_model.bin")
     if int(version("transformers").split(".")[0]) >= 5:  # older ones read it, and of pickles the weights only
         with pytest.raises(ScoupError, match="cannot be loaded"):
             open_sam(str(folder))
-    newer = str(saved(tiny_sam2(), tmp_path / "sam2"))
+    newer = str(saved(TINY_SAMS["sam2"](), tmp_path / "sam2"))
     monkeypatch.setattr(sys.modules["transformers"], "Sam2Model", None)  # an older transformers
     with pytest.raises(ScoupError, match="has no sam2"):
         open_sam(newer)
+
+
+TEXTS = ("red apple", "chair", "lamp")
+HEIGHT, WIDTH = 40, 60
+
+
+def ids_of(text: str, length: int, padding: int) -> tuple[list[int], list[int]]:
+    ids = [1, *(2 + TINY_WORDS.index(word) for word in text.split()), 6]
+    return ids + [padding] * (length - len(ids)), [1] * len(ids) + [0] * (length - len(ids))
+
+
+def owl_by_hand(model: Any, image: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    square = np.zeros((WIDTH, WIDTH, 3), np.uint8)
+    square[:HEIGHT] = image
+    rows = [ids_of(text, 16, 6) for text in TEXTS]
+    output = model(
+        input_ids=torch.tensor([ids for ids, _ in rows]),
+        attention_mask=torch.tensor([mask for _, mask in rows]),
+        pixel_values=pixels_by_hand(square, 48, 48, CLIP),
+    )
+    return output.pred_boxes[0] * WIDTH, output.logits[0].sigmoid()
+
+
+def dino_by_hand(model: Any, image: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """All three texts fit into one caption of 12: [CLS] red apple . chair . lamp . [SEP]."""
+    ids = torch.tensor([[101, 1, 2, 1012, 3, 1012, 4, 1012, 102]])
+    pixels = pixels_by_hand(image, 1200, 800, IMAGENET)
+    output = model(pixel_values=pixels, input_ids=ids, attention_mask=torch.ones_like(ids))
+    scores = output.logits[0].sigmoid()
+    boxes = output.pred_boxes[0] * torch.tensor([WIDTH, HEIGHT, WIDTH, HEIGHT])
+    return boxes, torch.stack([scores[:, 1:3].amax(1), scores[:, 4], scores[:, 6]], 1)
+
+
+@pytest.mark.parametrize(("save", "by_hand"), [(save_owl, owl_by_hand), (save_grounding_dino, dino_by_hand)])
+def test_boxes_are_those_of_the_model_fed_by_hand(save: Any, by_hand: Any, tmp_path: Path) -> None:
+    model, image = save(tmp_path), smooth_image(HEIGHT, WIDTH)
+    found = open_concepts(str(tmp_path)).detect(image, TEXTS)
+    with torch.inference_mode():
+        boxes, scores = by_hand(model, image)
+    middle, half = boxes[:, :2], boxes[:, 2:] / 2
+    wanted = torch.cat([middle - half, middle + half], 1).clamp(min=0)
+    wanted = wanted.minimum(torch.tensor([WIDTH, HEIGHT] * 2))
+    assert found.size == (WIDTH, HEIGHT)
+    assert set(found.texts.tolist()) == {0, 1, 2}
+    for text in range(3):
+        best = int(scores[:, text].argmax())
+        first = int((found.texts == text).nonzero()[0])
+        torch.testing.assert_close(found.scores[first], scores[best, text], atol=2e-4, rtol=0)
+        torch.testing.assert_close(found.boxes[first], wanted[best], atol=0.05, rtol=0)
+
+
+def test_many_texts_take_several_captions(tmp_path: Path) -> None:
+    save_grounding_dino(tmp_path)
+    model, image = open_concepts(str(tmp_path)), smooth_image(HEIGHT, WIDTH)
+    texts = ("red apple", "chair", "lamp", "apple", "red chair")  # 15 ids with the stops
+    found = model.detect(image, texts)
+    assert set(found.texts.tolist()) == set(range(5))
+    alone = model.detect(image, texts[4:])
+    mine = found.texts == 4
+    torch.testing.assert_close(found.scores[mine], alone.scores, atol=1e-5, rtol=0)
+
+
+def test_masks_of_sam3_are_those_of_the_model_fed_by_hand(tmp_path: Path) -> None:
+    model, image = save_sam3_concepts(tmp_path), smooth_image(HEIGHT, WIDTH)
+    found = open_concepts(str(tmp_path)).detect(image, TEXTS)
+    assert found.masks is not None
+    assert found.masks.shape == (len(found.scores), HEIGHT, WIDTH)
+    for number, text in enumerate(TEXTS):
+        ids, mask = ids_of(text, 32, 6)
+        with torch.inference_mode():
+            output = model(
+                pixel_values=pixels_by_hand(image, 56, 56, HALF),
+                input_ids=torch.tensor([ids]),
+                attention_mask=torch.tensor([mask]),
+            )
+        scores = output.pred_logits[0].sigmoid() * output.presence_logits[0].sigmoid()
+        best, first = int(scores.argmax()), int((found.texts == number).nonzero()[0])
+        assert float(found.scores[first]) == pytest.approx(float(scores[best]), abs=2e-4)
+        logits = torch.nn.functional.interpolate(
+            output.pred_masks[:, best, None], (HEIGHT, WIDTH), mode="bilinear"
+        )
+        assert float((found.masks[first] == (logits[0, 0] > 0)).float().mean()) > 0.99
+
+
+def test_of_overlapping_boxes_the_best_stays() -> None:
+    rng = np.random.default_rng(0)
+    low = torch.from_numpy(rng.random((50, 2)) * 60).float()
+    boxes = torch.cat([low, low + torch.from_numpy(rng.random((50, 2)) * 40).float() + 5], 1)
+    scores = torch.from_numpy(rng.random((50, 2))).float() * torch.tensor([1.0, 0.02])
+    found = best_boxes(boxes, scores, (80, 80))
+    for text in range(2):
+        mine = found.boxes[found.texts == text]
+        values = found.scores[found.texts == text]
+        assert 0 < len(mine) <= MOST_BOXES
+        assert bool((values >= LEAST_SCORE).all())
+        assert values.tolist() == sorted(values.tolist(), reverse=True)
+        assert float(values[0]) == float(scores[:, text].max())
+        assert float((box_ious(mine, mine) - torch.eye(len(mine))).max()) <= SAME_BOX + 1e-6
+    assert float(found.boxes.max()) <= 80
+
+
+def test_a_name_that_is_not_known_is_refused() -> None:
+    with refuses(UnknownNameError):
+        open_concepts("owl")

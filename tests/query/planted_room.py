@@ -114,14 +114,12 @@ def with_whole(parts: LanguageField, members: Sequence[int]) -> tuple[LanguageFi
         embeddings=torch.cat([fine.embeddings, unit(fine.embeddings[inside].float().sum(0)).half()[None]]),
         **{name: torch.cat([getattr(fine, name), column]) for name, column in more.items()},
     )
-    field = LanguageField(
-        parts.code_indices.expand(-1, 2, -1).contiguous(),
-        parts.code_weights.expand(-1, 2, -1).contiguous(),
-        parts.codebook.expand(2, -1, -1).contiguous(),
-        replace(parts.info, levels=("s", "m")),
+    field = parts.changed(
         parts.gaussians,
-        cameras=parts.cameras,
+        code_indices=parts.code_indices.expand(-1, 2, -1).contiguous(),
+        code_weights=parts.code_weights.expand(-1, 2, -1).contiguous(),
+        codebook=parts.codebook.expand(2, -1, -1).contiguous(),
+        info=replace(parts.info, levels=("s", "m")),
         thing_table=table,
-        words=parts.words,
     )
     return field, whole

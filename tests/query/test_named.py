@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import run
+from cli_support import run_json
 from messages import refuses
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.field import NameTable
@@ -22,7 +22,7 @@ from scoup.query.matching import Choice
 from scoup.query.named import Named, joined
 from scoup.query.refinement import choose_views, refine
 from scoup.query.thing_judge import thing_index
-from scoup.scene import Cameras, Detections
+from scoup.scene import Camera, Cameras, Detections
 from scoup.uplift.constants import EVEN_SCORE
 from scoup.uplift.naming import things_in_view
 from support import altered
@@ -78,6 +78,9 @@ def test_presence_joins_the_odds_of_the_photographs_and_of_the_field() -> None:
     assert named.score(0.9) == pytest.approx(1 - 1 / (1 + 4 * 9**constants.FIELD_POWER))
     assert named.score(0.0) == named.score(0.01) > 0
     assert named.score(0.9, LAMP) == pytest.approx(named.score(0.9) / 4)
+    field = named_room({"lamp": {LAMP: 0.02}}, presence=0.1)
+    assert field.answer("lamp").presence is False
+    assert field.answer("laptop").presence, "of a text without a name it is the field's"
 
 
 def test_things_that_fit_badly_are_lowered() -> None:
@@ -92,13 +95,6 @@ def test_things_that_fit_badly_are_lowered() -> None:
     assert (chosen.things, chosen.runner_up, chosen.fit) == ((LAMP,), MUG, 4.5)
 
 
-def test_presence_is_that_of_the_photographs() -> None:
-    field = named_room({"lamp": {LAMP: 0.02}}, presence=0.1)
-    assert field.answer("lamp").presence is False
-    assert field.answer("laptop").presence, "of a text without a name it is the field's"
-    assert planted_room().answer("lamp").presence
-
-
 def test_a_text_near_to_a_name_is_answered_by_it() -> None:
     field = planted_room()
     words = {word: field.encoder.encode([word])[0] for word in field.encoder.names or ()}
@@ -111,8 +107,9 @@ def test_a_text_near_to_a_name_is_answered_by_it() -> None:
 
 def test_names_come_first_in_catalogues_and_lists() -> None:
     field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}})
-    catalog = field.catalog(["lamp", "ball", "mug", "laptop"])
-    by_number = {thing.number: thing.text for thing in catalog.things}
+    by_number = {
+        thing.number: thing.text for thing in field.catalog(["lamp", "ball", "mug", "laptop"]).things
+    }
     assert (by_number[LAMP], by_number[MUG], by_number[LAPTOP]) == ("ball", "mug", "laptop")
     assert {thing.number: thing.text for thing in field.things()}[LAMP] == "ball"
     assert field.catalog(["lamp", "mug"]).things[LAMP].text == "lamp", "only words of the list are names"
@@ -133,10 +130,8 @@ class Finder:
         assert field.thing_table is not None
         self.looked: list[tuple[int, ...]] = []
         self.score = score
-        self.boxes = [
-            things_in_view(field.gaussians, field.thing_table, camera, "inria").boxes[thing]
-            for camera in (FRONT, BACK)
-        ]
+        seen = (things_in_view(field.gaussians, field.thing_table, view, "inria") for view in (FRONT, BACK))
+        self.boxes = [each.boxes[thing] for each in seen]
 
     def to_dict(self) -> dict[str, str]:
         return {"concepts": "finder"}
@@ -148,7 +143,7 @@ class Finder:
         return Detections(rows, torch.full((len(rows),), self.score), box.repeat(len(rows), 1), (64, 48))
 
 
-def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
+def test_on_demand_the_thing_that_the_model_sees_answers_or_none() -> None:
     field = planted_room()
     model = Finder(field, BALL)
     refined = refine(field, "lamp", model).field
@@ -162,10 +157,6 @@ def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
     assert both.field.answer(["lamp", "table"])[0].things == (BALL,), "names of before stay"
     with refuses():
         refine(planted_room(has_things=False), "lamp", model)
-
-
-def test_what_the_model_does_not_see_is_absent() -> None:
-    field = planted_room()
     said = refine(field, ["lamp"], Finder(field, BALL, score=0.001))
     assert not said.field.answer("lamp").presence
     assert said.describe().startswith("looked for lamp in 0 photographs and 2 rendered views, ")
@@ -173,26 +164,21 @@ def test_what_the_model_does_not_see_is_absent() -> None:
 
 def test_views_show_what_may_answer() -> None:
     """Of three cameras, two of which look away, the one that sees the room is chosen first."""
-    turned = FRONT.viewmat.clone()
-    turned[[0, 2]] = -turned[[0, 2]]  # half a turn about the vertical axis
-    away = [replace(FRONT, name=f"away {number}.png", viewmat=turned) for number in range(2)]
-    field = planted_room()
-    cameras = Cameras([*away, FRONT])
+    away = [Camera.look_at((0, -5, 1), (0, -9, 1), f"away {number}.png", 64, 48, 50) for number in range(2)]
+    field, cameras = planted_room(), Cameras([*away, FRONT])
     assert [camera.name for camera in choose_views(field, ["mug"], cameras, 1)] == ["front.png"]
     assert len(choose_views(field, ["mug"], cameras, 9)) == 3
 
 
 def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    field = planted_room()
-    path, words = tmp_path / "room.scoup", tmp_path / "words.npz"
+    field, path, words = planted_room(), tmp_path / "room.scoup", tmp_path / "words.npz"
     field.save(path, weight_bits=8)
     names = field.encoder.names or ()
     WordTable.save(words, names, field.encoder.encode(names))
     monkeypatch.setattr("scoup.query.refinement.open_concepts", lambda name, device: Finder(field, BALL))
-    query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
+    query = ("query", path, "lamp", "--text", words, "--pictures", "none")
     # The second time, the file has not changed.
-    for number, (options, thing) in enumerate(((("--refine", "owlv2"), BALL), ((), LAMP))):
-        code, out, error = run(*query, "--out", tmp_path / str(number), *options)
-        assert code == 0, error
-        assert ('"rendered": 2' in out) == (thing == BALL)
-        assert json.loads(out)["places"][0]["things"] == [thing]
+    for thing, options in ((BALL, ("--refine", "owlv2")), (LAMP, ())):
+        said = run_json(*query, "--out", tmp_path / str(thing), *options)
+        assert ('"rendered": 2' in json.dumps(said)) == (thing == BALL)
+        assert said["places"][0]["things"] == [thing]

@@ -1,10 +1,13 @@
-"""Presence: the score against its definition, for things and for votes."""
+"""Texts as vectors, and their presence: the score against its definition, for things and for votes."""
 
 from __future__ import annotations
 
 import math
+import statistics
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,18 +15,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from messages import refuses
+from messages import refuses, warns
 from query.conftest import Queried, random_vectors
 from query.planted_room import Box, planted_room
-from scoup.models import LEAST_WORDS
+from scoup.base import ScoupWarning, UnknownNameError
+from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, WordTable, with_everyday
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.presence import TextScore, other_words, presence_threshold
-from scoup.query.question import Question
+from scoup.query.question import Question, TextVectors, check_encoder, encode_texts
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import SampledVotes, select_each
-from support import examples, unit
+from support import altered, examples, unit
 
 
 @settings(max_examples=examples(60))
@@ -37,8 +41,7 @@ def test_the_score_is_the_share_of_words_that_fit_worse(words: list[tuple[int, b
 
 def literal_others(query: Tensor, words: Tensor) -> list[bool]:
     near = [float(query @ word) for word in words]
-    mean = sum(near) / len(near)
-    deviation = math.sqrt(sum((one - mean) ** 2 for one in near) / (len(near) - 1))
+    mean, deviation = statistics.mean(near), statistics.stdev(near)
     return [one < constants.SAME_WORD and one <= mean + constants.OTHER_NAME * deviation for one in near]
 
 
@@ -60,23 +63,23 @@ def literal_scores(field: LanguageField, question: Question) -> list[float]:
     known = thing_index(field, question)
     assert known is not None
     (vectors,) = known.vectors
-    fits = known.fits(question.everyday)
-    best = []
-    for number in range(len(question.everyday)):
-        allowed = [
-            float(fits[thing, number])
-            for thing in range(len(vectors))
-            if int((question.everyday @ vectors[thing]).argmax()) != number
-        ]
-        best.append(max(allowed, default=-math.inf))
+    named = [int((question.everyday @ vector).argmax()) for vector in vectors]
+    best = [
+        max((float(fit) for fit, name in zip(fits, named, strict=True) if name != number), default=-math.inf)
+        for number, fits in enumerate(known.fits(question.everyday).T)
+    ]
     scores = []
-    for answer, query in zip(list(each_answer(field, question)), question.queries, strict=True):
+    for answer, query in zip(each_answer(field, question), question.queries, strict=True):
         fits, counts = known.fits(query[None])[:, 0].tolist(), literal_others(query, question.everyday)
         score = share_below(max(fits[thing] for thing in answer.things), best, counts)
         first = max((fit, thing) for thing, fit in enumerate(fits) if bool(known.usable[thing]))[1]
         near = question.everyday @ vectors[first].float() - query @ vectors[first].float()
         scores.append(min(score, most_of(share_below(-1e-6, (-near).tolist(), counts))))
     return scores
+
+
+def scores_of(field: LanguageField, question: Question) -> list[float | None]:
+    return [answer.score for answer in each_answer(field, question)]
 
 
 def most_of(nearer: float) -> float:
@@ -101,12 +104,12 @@ def test_nearer_words_lower_the_score(fit: int, nearer: int, score: float) -> No
 
 
 def test_scores_of_things(queried: Queried) -> None:
-    found = [answer.score for answer in list(each_answer(queried.field, queried.texts))]
+    found = scores_of(queried.field, queried.texts)
     assert found == pytest.approx(literal_scores(queried.field, queried.texts))
     assert len(set(found)) > 3
     room = planted_room()
     question = room.question(["mug", "laptop", "unicorn", "word 3"], always=True)
-    found = [answer.score for answer in list(each_answer(room, question))]
+    found = scores_of(room, question)
     assert found == pytest.approx(literal_scores(room, question))
     assert found[:2] == [1, 1]
     assert (found[2] or 0) < constants.PRESENT_FROM
@@ -122,18 +125,16 @@ def test_scores_of_votes(voted: Queried) -> None:
 
     words = [fit(word) for word in texts.everyday]
     assert SampledVotes(field, texts).best_fits.tolist() == pytest.approx(words, abs=1e-6)
-    for answer, query in zip(list(each_answer(field, texts)), texts.queries, strict=True):
-        expected = share_below(fit(query), words, literal_others(query, texts.everyday))
-        assert answer.score == pytest.approx(expected)
+    others = [literal_others(query, texts.everyday) for query in texts.queries]
+    expected = [share_below(fit(query), words, own) for query, own in zip(texts.queries, others, strict=True)]
+    assert scores_of(field, texts) == pytest.approx(expected)
 
 
 def test_votes_compared_with_other_phrases_are_other_votes(voted: Queried) -> None:
-    field = voted.field.with_gaussians(voted.field.gaussians)
-    first = [answer.score for answer in list(each_answer(field, voted.texts))]
+    field, fresh = (voted.field.with_gaussians(voted.field.gaussians) for _ in range(2))
     others = replace(voted.texts, canonical=random_vectors(2, 16, seed=7))
-    fresh = voted.field.with_gaussians(voted.field.gaussians)
-    expected = [answer.score for answer in list(each_answer(fresh, others))]
-    assert [answer.score for answer in list(each_answer(field, others))] == expected != first
+    first = scores_of(field, voted.texts)
+    assert scores_of(field, others) == scores_of(fresh, others) != first
 
 
 def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Queried) -> None:
@@ -181,10 +182,91 @@ def test_fewer_than_ten_gaussians_are_absent(has_things: bool) -> None:
         assert answer.presence == (count == 10)
         assert int(answer.mask.sum()) == (10 if count == 10 else 0)
         assert len(part.things("mug")) == (count == 10)
-        forced = part.question("mug", always=True)
-        assert int(part.answer(forced).mask.sum()) == count
-        place = part.location(forced)
-        assert place.thing is not None
-        assert place.thing.n_gaussians == count
+        place = part.location(part.question("mug", always=True))
+        assert (getattr(place.thing, "n_gaussians", 0), int(place.answer.mask.sum())) == (count, count)
     said = f"not in this scene: what fits has fewer than 10 Gaussians (score {answer.score:.2f})"
     assert answer.remark() == said
+
+
+WORDS = ("kettle", "mug")
+
+
+def encoder_of(path: Path, names: tuple[str, ...], dim: int = 16) -> TextEncoder:
+    WordTable.save(path, names, random_vectors(len(names), dim).numpy())
+    return TextEncoder.open(path)
+
+
+def of_model(field: LanguageField, name: str, words: Path | None = None) -> LanguageField:
+    """The field as if built with a model, or with words of a table."""
+    return altered(field, info=replace(field.info, embedding_model=name, words=words), words=field.words)
+
+
+def test_queries_and_what_they_are_compared_with(tmp_path: Path) -> None:
+    encoder = encoder_of(tmp_path / "words.npz", (*WORDS, *CANONICAL_PHRASES))
+    texts = encode_texts(encoder, ["mug", "kettle", "mug"])
+    vectors = random_vectors(6, 16)
+    torch.testing.assert_close(texts.queries, vectors[[1, 0, 1]])
+    torch.testing.assert_close(texts.canonical, vectors[2:])
+    torch.testing.assert_close(texts.everyday, vectors[:2])
+    assert texts.source == encoder.source == str(tmp_path / "words.npz")
+    assert not texts.can_judge_presence
+
+
+def test_what_does_not_fit_is_refused(queried: Queried, tmp_path: Path) -> None:
+    wide = encoder_of(tmp_path / "wide.npz", (*WORDS, *CANONICAL_PHRASES), dim=24)
+    bare = encoder_of(tmp_path / "bare.npz", WORDS)
+    with refuses():
+        queried.field.with_encoder(wide).question("mug")
+    with refuses():
+        encode_texts(bare, ["mug"])
+    with refuses(UnknownNameError):
+        encode_texts(bare, ["ketle"])
+
+
+def test_everyday_words_are_one_more_phrase() -> None:
+    vectors = random_vectors(2, 16), random_vectors(4, 16), random_vectors(LEAST_WORDS, 16, seed=1)
+    texts = TextVectors(("mug", "plate"), *vectors)
+    assert texts.of(["plate"]).equal(texts.queries[1:])
+    assert texts.can_judge_presence
+    assert texts.with_everyday().canonical.equal(with_everyday(texts.canonical, texts.everyday))
+    assert texts.with_everyday().everyday is texts.everyday
+    few = replace(texts, everyday=texts.everyday[1:])
+    assert not few.can_judge_presence
+    assert few.with_everyday().canonical is texts.canonical
+
+
+@pytest.mark.parametrize(("named", "other"), [
+    ("words.npz", ""), ("colors", ""), ("", ""), ("some/clip", "some/clip"), ("some/clip", ""),
+])  # fmt: skip
+def test_vectors_of_another_size_are_told_from_what_the_field_names(
+    queried: Queried, tmp_path: Path, named: str, other: str
+) -> None:
+    words = Path(named) if named.endswith(".npz") else None
+    built = of_model(queried.field, "" if words else named, words)
+    names = (*WORDS, *CANONICAL_PHRASES)
+    WordTable.save(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
+    with refuses():
+        check_encoder(built, TextEncoder.open(tmp_path / "wide.npz"))
+
+
+LAION = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+
+
+@pytest.mark.parametrize(("given", "named", "warned"), [
+    ("open_clip:ViT-B-16/laion2b_s34b_b88k", LAION, False), ("openai/clip-vit-base-patch16", LAION, True),
+    ("scoup-demo (simulated)", LAION, True), ("", LAION, False), ("google/siglip-base-patch16-224", "", False),
+])  # fmt: skip
+def test_vectors_of_another_model_are_warned_of(
+    queried: Queried, given: str, named: str, warned: bool
+) -> None:
+    encoder = TextEncoder(given, 16, lambda phrases: torch.ones(len(phrases), 16))
+    with warns(ScoupWarning) if warned else nullcontext():
+        check_encoder(of_model(queried.field, named), encoder)
+
+
+def test_a_question_of_a_field_of_another_model_is_warned_of(field: LanguageField) -> None:
+    one, other = (of_model(field, name) for name in ("one", "other"))  # words name no model
+    question = one.question("word 1")
+    one.answer(question)
+    with warns(ScoupWarning):
+        other.answer(question)

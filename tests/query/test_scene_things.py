@@ -24,7 +24,7 @@ from scoup.query.language_field import LanguageField, build
 from scoup.query.thing_names import best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene import Camera, Gaussians
-from support import altered, examples
+from support import altered, examples, gaussians_at
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +60,7 @@ def test_things_of_two_levels_have_parents_that_contain_them() -> None:
     things = {thing.number: thing for thing in field.things()}
     parts = [thing for thing in things.values() if thing.level == "s"]
     assert len(parts) == 2 * COUNT
-    assert len(things) == 3 * COUNT
-    assert list(things) == sorted(number for number in things if number is not None)
+    assert list(things) == [*range(3 * COUNT)]
     for part in parts:
         whole = things[part.parent]
         assert (whole.level, whole.parent) == ("m", None)
@@ -80,27 +79,20 @@ def test_without_a_table_connected_parts_answer_and_strays_do_not() -> None:
     boxes = [*ROOM, Box("mug", (0, -3, 3), (0.001, 0.001, 0.001))]
     field = planted_room(boxes, has_things=False)
     assert field.things() == []
-    opacities = field.gaussians.opacities
-    opacities[216 * len(ROOM) : 216 * len(boxes)] = 0.01  # light beside the others
-    found = field.things("mug")
-    assert sorted(round(float(thing.position[0])) for thing in found) == [-1, 1]
-    opacities[216 * len(ROOM) : 216 * len(boxes)] = 0.9
-    bright = planted_room(boxes, has_things=False)
-    assert len(bright.things("mug")) == 3
+    assert len(field.things("mug")) == 3
+    field.gaussians.opacities[216 * len(ROOM) : 216 * len(boxes)] = 0.01  # light beside the others
+    assert sorted(round(float(thing.position[0])) for thing in field.things("mug")) == [-1, 1]
 
 
 def test_a_table_of_no_things_leaves_the_votes(room) -> None:
     table = room.thing_table
-    nothing = ThingTable(
-        torch.full_like(table.owners, NO_THING),
-        *(getattr(table, name)[:0] for name in TENSORS[1:]),
-    )
+    no_owners = torch.full_like(table.owners, NO_THING)
+    nothing = ThingTable(no_owners, *(getattr(table, name)[:0] for name in TENSORS[1:]))
     field = altered(room, thing_table=nothing, words=room.words)
     assert field.things() == []
     assert [thing.number for thing in field.things("mug")] == [None, None]
     assert field.catalog(["mug", "laptop"]).to_dict()["things"] == []
-    without_gaussians = replace(table, owners=nothing.owners)
-    field = altered(room, thing_table=without_gaussians, words=room.words)
+    field = altered(room, thing_table=replace(table, owners=no_owners), words=room.words)
     assert field.things("mug") == []
     assert field.catalog(["mug", "laptop"]).things == ()
     answer = field.answer(field.question("mug", always=True))
@@ -126,14 +118,13 @@ def test_a_thing_around_a_camera_has_no_picture_and_ends_nothing(room) -> None:
 # Places against a naive loop. Opacities are multiples of 1/16 and coordinates are whole, so that sums are exact.
 
 
-def naive_quantile(values: list[float], weights: list[float], share: float) -> float:
-    ordered = sorted(zip(values, weights, strict=True))
-    total, reached = sum(weights), 0.0
-    for value, weight in ordered:
+def naive_median(values: list[float], weights: list[float]) -> float:
+    reached = 0.0
+    for value, weight in sorted(zip(values, weights, strict=True)):
         reached += weight
-        if reached >= share * total:
+        if reached >= 0.5 * sum(weights):
             return value
-    return ordered[-1][0]
+    return max(values)
 
 
 def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float], float]]:
@@ -143,18 +134,15 @@ def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float
     if not there:
         return []
     weights = [weight for _, weight in there]
-    middle = [naive_quantile([mean[axis] for mean, _ in there], weights, 0.5) for axis in range(3)]
+    middle = [naive_median([mean[axis] for mean, _ in there], weights) for axis in range(3)]
     distances = [float(np.linalg.norm(np.subtract(mean, middle))) for mean, _ in there]
-
-    farthest = constants.FARTHEST * naive_quantile(distances, weights, 0.5)
+    farthest = constants.FARTHEST * naive_median(distances, weights)
     return [one for one, distance in zip(there, distances, strict=True) if distance <= farthest]
 
 
 coordinates = st.one_of(st.integers(-6, 6).map(float), st.sampled_from([50.0, float("nan"), float("inf")]))
-opacities = st.one_of(
-    st.integers(0, 16).map(lambda part: part / 16),
-    st.sampled_from([0.0, float("nan"), float("inf"), 2.0, -1.0]),
-)
+odd = st.sampled_from([0.0, float("nan"), float("inf"), 2.0, -1.0])
+opacities = st.one_of(st.integers(0, 16).map(lambda part: part / 16), odd)
 clouds = st.lists(st.tuples(coordinates, coordinates, coordinates, opacities), max_size=25)
 
 
@@ -162,10 +150,8 @@ clouds = st.lists(st.tuples(coordinates, coordinates, coordinates, opacities), m
 @given(cloud=clouds, owners=st.lists(st.integers(0, 4), min_size=25, max_size=25))
 def test_points_of_things_are_those_of_a_naive_loop(cloud, owners) -> None:
     numbers = torch.tensor(cloud, dtype=torch.float32).reshape(-1, 4)
-    count = len(cloud)
-    ones = torch.ones(count, 4)
-    gaussians = Gaussians(numbers[:, :3], ones, ones[:, :3], numbers[:, 3], torch.zeros(count, 1, 3))
-    members = [[row for row in range(count) if owners[row] == thing] for thing in range(5)]
+    gaussians = replace(gaussians_at(numbers[:, :3]), opacities=numbers[:, 3])
+    members = [[row for row in range(len(cloud)) if owners[row] == thing] for thing in range(5)]
     points = PointSets.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
     boxes = points.boxes(torch.tensor([0.0, 0.6, 0.8]).double())
     for thing, rows in enumerate(members):
@@ -210,9 +196,7 @@ def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], object
     (9, constants.STABLE - 0.1, True, "", True),  # another level has it, too
     (constants.LEAST_REGIONS - 1, constants.STABLE, True, "", False), (1, 0.0, False, "lamp", True),
 ])  # fmt: skip
-def test_fragments_without_a_name_are_no_objects(
-    regions: int, stability: float, again: bool, name: str, is_object: bool
-) -> None:
+def test_fragments_without_a_name_are_no_objects(regions, stability, again, name, is_object) -> None:
     room = planted_room()
     assert room.thing_table is not None
     room.thing_table.n_regions[:], room.thing_table.stability[:] = regions, stability

@@ -12,9 +12,8 @@ from torch import Tensor
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.field import render_depth
 from scoup.query import constants
-from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel
+from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel, render_depth
 from scoup.scene import Camera
 from support import examples
 
@@ -22,10 +21,8 @@ from support import examples
 def flooded(mask: Tensor) -> list[set[tuple[int, int]]]:
     """Sets of pixels that touch, in the order of their first pixels."""
     left, parts = {(y, x) for y, x in mask.nonzero().tolist()}, []
-    for first in sorted(left):
-        if first not in left:
-            continue
-        reached, waiting = set(), [first]
+    while left:
+        reached, waiting = set(), [min(left)]
         while waiting:
             y, x = waiting.pop()
             if (y, x) in left:
@@ -50,9 +47,7 @@ def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
     parts = flooded(mask)
     kept, largest = main_parts(mask)
     if not parts:
-        assert not kept.any()
-        assert not largest.any()
-        assert mask_box(mask) is None
+        assert (kept.any(), largest.any(), mask_box(mask)) == (False, False, None)
         return
     areas = [len(part) for part in parts]
     most = max(areas)
@@ -80,10 +75,9 @@ def test_specks_are_no_main_parts() -> None:
 def test_the_most_relevant_pixel_has_the_largest_mean_around_it(mask: Tensor, seed: int) -> None:
     heat = torch.randint(0, 9, mask.shape, generator=torch.Generator().manual_seed(seed)) / 8
     found = most_relevant_pixel(heat, mask)
-    if not mask.any():
-        assert found is None
+    assert (found is None) == (not mask.any())
+    if found is None:
         return
-    assert found is not None
     means = {
         (x, y): float(heat[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4].mean())
         for y, x in mask.nonzero().tolist()
@@ -103,18 +97,13 @@ def test_depth_is_the_mean_of_what_paints_a_pixel(queried: Queried) -> None:
     found = render_depth(projection, field.gaussians, camera)
     means = field.gaussians.means.double()
     distances = (means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])[:, 2]
-    total = torch.zeros(camera.height, camera.width, dtype=torch.float64)
-    alpha = torch.zeros_like(total)
-    for number, distance in enumerate(distances.tolist()):
-        one = torch.zeros(len(field), 1)
-        one[number] = 1
-        share = raster.render_channels(projection, one)[0][..., 0].double()
-        total += share * distance
-        alpha += share
+    ones = torch.eye(len(field)).split(1)
+    shares = torch.cat([raster.render_channels(projection, one.T)[0] for one in ones], -1).double()
+    alpha = shares.sum(-1)
     painted = alpha >= 0.5
     assert painted.any()
     assert torch.equal(torch.isfinite(found), painted)
-    assert torch.allclose(found[painted].double(), (total / alpha)[painted], rtol=1e-4)
+    assert torch.allclose(found[painted].double(), (shares @ distances / alpha)[painted], rtol=1e-4)
 
 
 def test_the_position_of_a_flat_wall() -> None:
@@ -122,15 +111,14 @@ def test_the_position_of_a_flat_wall() -> None:
     camera = Camera.look_at((1.0, 2.0, 3.0), (1.0, 2.0, -4.0), "a.png", 20, 10, 15.0, up=(0.0, 1.0, 0.0))
     mask, depth = torch.zeros(10, 20, dtype=torch.bool), torch.full((10, 20), 5.0)
     mask[4:6, 9:11] = True  # the middle of the image
-    found = mask_position(mask, depth, camera)
+    right = torch.zeros_like(mask)
+    right[5, 19] = True
+    found, moved = mask_position(mask, depth, camera), mask_position(right, depth, camera)
     assert found is not None
+    assert moved is not None
     assert found[2].item() == pytest.approx(-2.0)
     # A median is one of the values: half a pixel beside the middle.
     assert torch.allclose(found[:2], torch.tensor([1.0, 2.0]).double(), atol=0.5 / 15 * 5 + 1e-6)
-    right = torch.zeros_like(mask)
-    right[5, 19] = True
-    moved = mask_position(right, depth, camera)
-    assert moved is not None
     assert moved[0].item() == pytest.approx(1.0 + (19.5 - 10) / 15 * 5)
     depth[5, 19] = torch.nan
     assert mask_position(right, depth, camera) is None

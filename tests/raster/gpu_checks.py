@@ -189,11 +189,10 @@ def check_repeated_atoms(device: str) -> None:
     """An atom that a code has twice counts with both weights, whatever stands between."""
     gaussians, camera = scene_of("mixed", 5, device == "cpu")
     projection, reference = projections_of(gaussians, camera, "inria", device)
-    indices = torch.tensor([[[3, 0, 3, 2, 3]], [[0, 0, 0, 0, 0]]], dtype=torch.uint8)[
-        torch.arange(len(gaussians)) % 2
-    ]
+    atoms = torch.tensor([[3, 0, 3, 2, 3], [0, 0, 0, 0, 0]], dtype=torch.uint8)
     kinds = torch.tensor([[0.5, 0.0, 0.25, 1.0, 0.125], [0.0, 0.0, 0.25, 1.0, 0.125]])
-    weights = kinds[torch.arange(len(gaussians)) // 2 % 2][:, None]
+    numbers = torch.arange(len(gaussians))
+    indices, weights = atoms[numbers % 2][:, None], kinds[numbers // 2 % 2][:, None]
     sure = sure_pixels(gaussians, camera)
     for dtype in (torch.float16, torch.float32):
         expected = raster.render_codes(reference, indices, weights.to(dtype), 4)

@@ -7,8 +7,6 @@ trust: ``close_calls`` evaluates a pixel in float64 and counts the decisions tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import pytest
 import torch
 from torch import Tensor
@@ -98,14 +96,6 @@ def assert_close(actual: Tensor, expected: Tensor, span: float = 1.0, where: Ten
         raise AssertionError(f"{int(bad.sum())} of {bad.numel()} entries differ, by up to {worst:.3g}")
 
 
-@dataclass(frozen=True)
-class Flips:
-    """pixels [H, W] bool: those that differ; largest: difference in units of what the values span."""
-
-    pixels: Tensor
-    largest: float
-
-
 def few(flipped: Tensor) -> bool:
     """Whether no more pixels of a real view flip than usual; two of a small view are no surprise."""
     return int(flipped.sum()) <= max(2, FLIP_SHARE * flipped.numel())
@@ -113,8 +103,9 @@ def few(flipped: Tensor) -> bool:
 
 def explained_flips(
     gaussians: Gaussians, camera: Camera, preset: str, actual: Tensor, expected: Tensor, span: float = 1.0
-) -> Flips:
-    """The flipped pixels of an image [H, W, C]. Each must have a close call and change by what its flips may do."""
+) -> Tensor:
+    """[H, W] bool: the flipped pixels of an image [H, W, C]. Each must have a close call and change by what its flips
+    may do."""
     pixels = beyond(actual, expected, span).any(2)
     rows, columns = torch.nonzero(pixels, as_tuple=True)
     calls = close_calls(gaussians, camera, preset, rows, columns)
@@ -123,7 +114,7 @@ def explained_flips(
         f"pixels {torch.stack([rows, columns], 1)[calls == 0][:5].tolist()} differ, unexplained"
     )
     assert (sizes <= FLIP_SIZE * calls).all(), f"a flip changes a pixel by {float(sizes.max()):.3g}"
-    return Flips(pixels, float(sizes.max()) if len(sizes) else 0.0)
+    return pixels
 
 
 def painted(projection: raster.Projection, values: Tensor) -> Tensor:
@@ -174,9 +165,8 @@ def random_codes(
         indices = torch.rand(count, levels, n_atoms, generator=generator).argsort(2)[..., :k]
         indices = torch.nn.functional.pad(indices, (0, max(0, k - n_atoms)))
         weights[..., n_atoms:] = 0
-    codebook = (
-        torch.randn(levels, n_atoms, 24, generator=generator) * 3 + seed % 2 * 3
-    )  # of an odd seed alike
+    codebook = torch.randn(levels, n_atoms, 24, generator=generator) * 3
+    codebook += seed % 2 * 3  # of an odd seed alike
     queries = unit(torch.randn(1 + seed % 20, 24, generator=generator))
     return indices.to(index_dtype(n_atoms)), weights, codebook, queries
 

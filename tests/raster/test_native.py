@@ -1,17 +1,22 @@
-"""The compiled core against the reference: every function, over random and hard scenes."""
+"""The compiled core against the reference: every function, over random and hard scenes, any form of tensors, any number
+of threads and every instruction set."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from raster.hard_scenes import any_scenes, hard_scene
+from messages import refuses
+from raster.hard_scenes import HARD_KINDS, any_scenes, hard_scene
 from raster.parity import (
     assert_channels_agree,
+    assert_close,
     assert_codes_agree,
     assert_same_sums,
     both,
@@ -25,8 +30,10 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
+from scoup.base import required_core
 from scoup.raster.combinations import combine_reference
-from support import examples, make_camera, random_gaussians, random_labels, threads_of_torch
+from scoup.scene import Camera, Gaussians
+from support import examples, make_camera, random_gaussians, random_labels, threads_of_torch, unit
 
 pytestmark = needs_native
 PRESETS = st.sampled_from(["inria", "gsplat"])
@@ -132,13 +139,13 @@ def test_image_sizes(width, height):
     values = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
     image = painted(native, values)
     assert image.any()
-    flips = explained_flips(gaussians, camera, "inria", image, painted(reference, values))
-    assert flips.pixels.sum() <= max(1, 1e-3 * width * height)
+    flipped = explained_flips(gaussians, camera, "inria", image, painted(reference, values))
+    assert flipped.sum() <= max(1, 1e-3 * width * height)
 
     labels = random_labels(2, height, width, 11, 0)
-    labels[:, flips.pixels] = -1
+    labels[:, flipped] = -1
     assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
-    assert_codes_agree((native, reference), ~flips.pixels, random_codes(60, 1, 2, 3, 0))
+    assert_codes_agree((native, reference), ~flipped, random_codes(60, 1, 2, 3, 0))
 
 
 def test_a_close_call_is_found():
@@ -150,3 +157,174 @@ def test_a_close_call_is_found():
     here, there = torch.tensor([4]), torch.tensor([0])
     assert close_calls(gaussians, camera, "inria", here, here).tolist() == [1]
     assert close_calls(gaussians, camera, "inria", there, there).tolist() == [0]
+
+
+# Other forms of tensors that the compiled core is handed, and labels that it must refuse.
+
+COUNT, ATOMS = 50, 8
+CAMERA = make_camera()
+
+
+def a_view() -> raster.Projection:
+    return raster.project(random_gaussians(COUNT, 1), CAMERA, backend="native")
+
+
+def apart(tensor: torch.Tensor) -> torch.Tensor:
+    """The same values with gaps between them in memory."""
+    found = torch.stack([tensor, tensor], -1)[..., 0]
+    assert not found.is_contiguous()
+    return found
+
+
+FORMS = {
+    "apart": apart,
+    "float64": lambda tensor: tensor.double() if tensor.is_floating_point() else tensor.long(),
+    "requires_grad": lambda tensor: (
+        tensor.clone().requires_grad_() if tensor.is_floating_point() else tensor.int()
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_other_forms_of_the_same_numbers(form):
+    generator, projection = torch.Generator().manual_seed(0), a_view()
+    values, labels = torch.rand(COUNT, 3, generator=generator), random_labels(3, 30, 40, 5, 0)
+    indices, weights, codebook, queries = random_codes(COUNT, 3, 4, ATOMS, 0)
+    given = values, labels, indices, weights, codebook, queries
+    found, expected = (
+        (
+            raster.render_channels(projection, values)[0],
+            raster.region_sums(projection, labels),
+            raster.render_codes(projection, indices, weights, ATOMS),
+            raster.render_cosines(projection, indices, weights, codebook, queries),
+        )
+        for values, labels, indices, weights, codebook, queries in (map(FORMS[form], given), given)
+    )
+    assert torch.equal(found[0], expected[0])
+    assert_same_sums(found[1], expected[1])
+    assert torch.equal(found[2], expected[2])
+    assert_close(found[3], expected[3])
+    assert not found[3].requires_grad
+
+
+@pytest.mark.parametrize("form", ["apart", "requires_grad", "negative scales"])
+def test_other_forms_of_the_scene(form):
+    """A covariance holds squares of scales, so their sign means nothing."""
+    plain, values = random_gaussians(COUNT, 1), torch.rand(COUNT, 3)
+    if form == "negative scales":
+        changed = replace(plain, scales=-plain.scales)
+    else:
+        names = ("means", "quats", "scales", "opacities", "sh")
+        changed = Gaussians(*(FORMS[form](getattr(plain, name)) for name in names))
+    found = raster.render_channels(raster.project(changed, CAMERA, backend="native"), values)
+    assert torch.equal(found[0], raster.render_channels(a_view(), values)[0])
+
+
+def test_labels_below_zero_are_no_region_and_those_beyond_32_bits_are_refused():
+    labels, projection = random_labels(3, 30, 40, 5, 0).long(), a_view()
+    found = raster.region_sums(projection, torch.where(labels >= 0, labels, -(2**32)))
+    assert_same_sums(found, raster.region_sums(projection, labels))
+    for offset in (2**31, 2**32, 2**40):
+        with refuses():
+            raster.region_sums(projection, torch.where(labels >= 0, labels + offset, -1))
+
+
+# What the user's machine decides must not decide the answer: number of threads, instruction set.
+
+
+LEVELS, REGIONS = 3, 15
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="the system does not say what a process has"
+)
+def test_memory_of_views_is_given_back():
+    def project():
+        return raster.project(raster.prepare_gaussians(gaussians, "native"), make_camera(640, 480), "inria")
+
+    gaussians = random_gaussians(600_000, seed=1)
+    project()  # 38 MB of projected Gaussians, kept for the next view: malloc returns blocks above 32 MB at once
+    before = _resident_bytes()
+    with required_core() as core:
+        core.release_memory()
+    assert _resident_bytes() < before - 20e6
+    assert project().n_gaussians == 600_000  # and taken anew
+
+
+def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
+    """Every function's answer for a view of ``count`` Gaussians, from the same random inputs each time."""
+    generator = torch.Generator().manual_seed(5)
+    values = torch.randn(count, 11, generator=generator)
+    indices = torch.randint(48, (count, LEVELS, 5), generator=generator, dtype=torch.uint8)
+    weights = torch.rand(count, LEVELS, 5, generator=generator).to(dtype)
+    codebook = torch.randn(LEVELS, 48, dim, generator=generator) + 0.3
+    queries = unit(torch.randn(6, dim, generator=generator))
+    image, alpha = raster.render_channels(projection, values)
+    return {
+        "channels": image,
+        "alpha": alpha,
+        "codes": raster.render_codes(projection, indices, weights, 48).movedim(0, 2),
+        "cosines": raster.render_cosines(projection, indices, weights, codebook, queries).permute(2, 3, 0, 1),
+        "regions": raster.region_sums(projection, labels),
+    }
+
+
+@pytest.mark.parametrize("kind", HARD_KINDS)
+@pytest.mark.parametrize("preset", ["inria", "gsplat"])
+def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, preset):
+    with required_core() as core:
+        assert core.current_isa() == instruction_set
+    gaussians, camera = hard_scene(kind, 11)
+    sure = sure_pixels(gaussians, camera, preset)
+    labels = random_labels(LEVELS, camera.height, camera.width, REGIONS, 0)
+    labels[:, ~sure] = -1
+    dtype = torch.float16 if kind in ("crowd", "needles") else torch.float32
+    native, reference = (
+        everything(v, len(gaussians), labels, 24, dtype) for v in both(gaussians, camera, preset)
+    )
+    assert_close(native["channels"], reference["channels"], 6.0, sure)
+    assert_close(native["alpha"], reference["alpha"], 1.0, sure)
+    assert_close(native["codes"], reference["codes"], 2.0, sure)
+    assert_close(native["cosines"], reference["cosines"], 5.0, sure)
+    assert_same_sums(native["regions"], reference["regions"])
+
+
+def on_any_threads(gaussians: Gaussians, camera: Camera, function, *arguments) -> list:
+    """Return the function's answers for the projected scene, by number of threads."""
+    found = []
+    for threads in (1, 2, 3, 5):
+        with threads_of_torch(threads):
+            projection = raster.project(gaussians, camera, backend="native")
+            found.append(function(projection, *arguments))
+    return found
+
+
+def test_same_bytes_on_any_number_of_threads():
+    """Enough Gaussians, ties in depth among them, that every stage is shared out."""
+    gaussians = random_gaussians(60_000, 8, ("plain", "needle", "tiny", "huge", "nan"))
+    gaussians.scales.mul_(0.2)
+    gaussians.opacities.mul_(0.1)
+    gaussians.means[::3] = gaussians.means[:20_000]
+    camera = make_camera(230, 190, 150.0, 2)
+    labels = random_labels(LEVELS, 190, 230, REGIONS, 1)
+    found = on_any_threads(gaussians, camera, everything, len(gaussians), labels, 512)
+    assert found[0]["alpha"].max() > 0.99
+    for answers in found[1:]:
+        assert same_bytes(answers.pop("regions"), found[0]["regions"])
+        assert all(torch.equal(answer, found[0][name]) for name, answer in answers.items())
+
+
+def test_cosines_of_a_large_codebook_do_not_depend_on_threads():
+    """Its Gram matrices are products large enough to be shared out among threads."""
+    gaussians, camera = random_gaussians(300, 8), make_camera(40, 30)
+    generator = torch.Generator().manual_seed(0)
+    indices = torch.randint(1024, (300, 2, 4), generator=generator).to(torch.uint16)
+    weights = torch.rand(300, 2, 4, generator=generator)
+    codebook = torch.randn(2, 1024, 512, generator=generator)
+    queries = unit(torch.randn(40, 512, generator=generator))
+    found = on_any_threads(gaussians, camera, raster.render_cosines, indices, weights, codebook, queries)
+    assert all(torch.equal(cosines, found[0]) for cosines in found)

@@ -87,9 +87,10 @@ def test_the_same_for_any_number_of_threads() -> None:
 def test_bad_arguments_are_refused() -> None:
     core = native_core()
     assert core is not None
-    with pytest.raises(ValueError, match="finite"):
-        core.nearest_points(np.full((3, 3), np.nan), 1, 1)
-    with pytest.raises(ValueError, match="more points"):
-        core.nearest_points(np.zeros((3, 3)), 3, 1)
-    with pytest.raises(ValueError, match="no point"):
-        core.linked_parts(np.array([[7], [0]]), np.zeros((2, 1)), 1.0)
+    for function, arguments, said in (
+        (core.nearest_points, (np.full((3, 3), np.nan), 1, 1), "finite"),
+        (core.nearest_points, (np.zeros((3, 3)), 3, 1), "more points"),
+        (core.linked_parts, (np.array([[7], [0]]), np.zeros((2, 1)), 1.0), "no point"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            function(*arguments)

@@ -45,24 +45,19 @@ def shown() -> dict[str, Any]:
 
 @pytest.mark.parametrize("title", TITLES)
 def test_every_object_has_a_card_with_a_picture_and_one_line(shown: dict[str, Any], title: str) -> None:
-    page = shown[title]._repr_html_()
+    page, line = shown[title]._repr_html_(), repr(shown[title])
     assert title in page
     (picture,) = pictures(page)
     assert picture.ndim == 3
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2
-    line = repr(shown[title])
     assert "\n" not in line
     assert len(line) < 200
 
 
 def test_what_is_found_in_the_scene_has_a_card_without_a_picture(shown: dict[str, Any]) -> None:
     field = shown["Language field of 80 Gaussians"]
-    found = (
-        field.location(field.question("word 3", always=True)),
-        field.label(["word 3", "word 4"]),
-        field.location("word 3").answer,
-    )
-    for each in found:
+    place = field.location(field.question("word 3", always=True))
+    for each in (place, field.label(["word 3", "word 4"]), field.location("word 3").answer):
         assert "<table>" in each._repr_html_()
         assert "tensor" not in repr(each)
         assert len(repr(each)) < 200
@@ -72,10 +67,13 @@ def test_what_is_found_in_the_scene_has_a_card_without_a_picture(shown: dict[str
 def test_cards_without_anything_to_draw(shown: dict[str, Any]) -> None:
     field = shown["Language field of 80 Gaussians"]
     field = type(field)(field.code_indices, field.code_weights, field.codebook, field.info)
-    assert pictures(field._repr_html_()) == []
-    assert pictures(Regions.from_maps({})._repr_html_()) == []
-    assert len(pictures(Cameras([])._repr_html_())) == 1
-    assert len(pictures(random_gaussians(0, 0)._repr_html_())) == 1
+    for each, count in (
+        (field, 0),
+        (Regions.from_maps({}), 0),
+        (Cameras([]), 1),
+        (random_gaussians(0, 0), 1),
+    ):
+        assert len(pictures(each._repr_html_())) == count
 
 
 def test_texts_in_cards_are_no_markup() -> None:
@@ -106,8 +104,7 @@ def test_cameras_are_drawn_where_they_are() -> None:
     (drawn,) = pictures(Cameras(ring)._repr_html_())
     dark = np.argwhere((drawn == 30).all(2))
     middle = dark.mean(0)
-    assert abs(middle[0] - PREVIEW[1] / 2) < 6
-    assert abs(middle[1] - PREVIEW[0] / 2) < 6
+    np.testing.assert_allclose(middle, (PREVIEW[1] / 2, PREVIEW[0] / 2), rtol=0, atol=6)
     distances = np.linalg.norm(dark - middle, axis=1)
     assert distances.min() > 0.7 * distances.max()  # a ring
 

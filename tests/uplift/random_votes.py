@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +10,9 @@ import torch
 from torch import Tensor
 
 from raster.parity import beyond
-from scoup.raster import ViewSums, merge
 from scoup.scene import SparseCodes, stable_products
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, pack
-from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
 from scoup.uplift.voting import CodedEntries
 
@@ -24,47 +21,13 @@ SHARPNESS = torch.tensor([3.0, 0.0, 20.0])
 
 @dataclass(frozen=True)
 class Sizes:
-    """Attributes:
-    n_gaussians, views, levels, n_atoms, k: as they say.
-    entries: of a view.
-    without: a level that has no regions, or None.
-    """
-
     n_gaussians: int = 300
     views: int = 3
     levels: int = 3
     n_atoms: int = 24
     k: int = 4
-    entries: int = 400
-    without: int | None = None
-
-
-def sums_of_triplets(
-    gaussian: Tensor, level: Tensor, region: Tensor, weight: Tensor, n_levels: int
-) -> ViewSums:
-    """Sums of (Gaussian, level, region, weight) [T], where each combination is a region of one level."""
-    total = int(region.max()) + 1
-    pairs, combination = torch.unique(level * total + region, return_inverse=True)
-    table = torch.full((len(pairs), n_levels), -1, dtype=torch.int32)
-    table.scatter_(1, (pairs // total)[:, None], (pairs % total).int()[:, None])
-    return ViewSums(*merge(gaussian, combination, weight, len(pairs)), table)
-
-
-def usual_deviation() -> tuple[RegionSums, list[SparseCodes], Tensor, list[float]]:
-    """Sums, codes and codebook of one Gaussian, and its weights after a second round, worked out by hand.
-
-    Of its three regions, of one atom each, the first paints three times as much and is what the first round finds:
-    where all atoms are kept, it hands on one. The others are at right angles to it: they deviate by 1, which is the
-    median, so each counts exp(-3) in the second round.
-    """
-    sums = RegionSums("", torch.arange(1), ["m"])
-    regions = torch.arange(3)
-    view = sums_of_triplets(regions * 0, regions * 0, regions, torch.tensor([3.0, 1.0, 1.0]), 1)
-    sums.append("v", view)
-    sums.rows = [{"v": slice(0, 3)}]
-    unusual = math.exp(-3)
-    expected = [part / (3 + 2 * unusual) for part in (3, unusual, unusual)]
-    return sums, [SparseCodes.from_dense(torch.eye(3), 1)], torch.eye(3)[None], expected
+    entries: int = 400  # per view
+    without: int | None = None  # a level that has no regions
 
 
 def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
@@ -104,11 +67,12 @@ def buckets_of(arguments: dict[str, Any]) -> range:
     return range(-(-arguments["n_gaussians"] // BUCKET))
 
 
-def earlier_of(arguments: dict[str, Any], keep: int, levels: int) -> EarlierRound:
+def earlier_of(arguments: dict[str, Any], keep: int) -> EarlierRound:
     """The first round as the reference has it, a tenth of the Gaussians without a code."""
     reference = ReferenceVote(**arguments, device=torch.device("cpu"))
     indices, weights = reference.round(keep, None, True, buckets_of(arguments))
     weights[::10] = 0
+    levels = len(arguments["codes"])
     return EarlierRound(indices, weights, SHARPNESS.repeat(levels)[:levels])
 
 
@@ -118,7 +82,7 @@ def check_rounds(prepared: type[Any], sizes: Sizes, keep: int, seed: int, device
     reference = ReferenceVote(**arguments, device=torch.device("cpu"))
     tested = prepared(**arguments, device=torch.device(device))
     buckets = buckets_of(arguments)
-    earlier = earlier_of(arguments, min(keep, 8), sizes.levels)
+    earlier = earlier_of(arguments, min(keep, 8))
 
     def voted(earlier: EarlierRound | None, unit_norm: bool) -> tuple[Tensor, Tensor]:
         indices, weights = tested.round(keep, earlier, unit_norm, buckets)
@@ -147,12 +111,11 @@ def assert_same_codes(
     expected = reference.round(keep, earlier, unit_norm, buckets)
     for one, other in zip(found, expected, strict=True):
         assert (one.shape, one.dtype) == (other.shape, other.dtype)
-    rising = sums.sort(dim=2, descending=True).values
+    falling = sums.sort(dim=2, descending=True).values
+    clear = torch.ones(sums.shape[:2], dtype=torch.bool)
     if keep < sums.shape[2]:
-        clear = rising[..., keep - 1] - rising[..., keep] > 1e-5 * rising[..., 0]
-        clear |= rising[..., keep] == 0
-    else:
-        clear = torch.ones(sums.shape[:2], dtype=torch.bool)
+        kept, left_out = falling[..., keep - 1], falling[..., keep]
+        clear = (kept - left_out > 1e-5 * falling[..., 0]) | (left_out == 0)
     dense = [
         torch.zeros_like(sums).scatter_add_(2, indices.long(), weights)
         for indices, weights in (found, expected)
@@ -167,26 +130,25 @@ def assert_same_codes(
 def damaged(arguments: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """By what is wrong, the same arguments with a first view that nobody can add up."""
     first, *others = arguments["views"]
-    entries = first.entries
-    last = arguments["n_gaussians"] - 1
+    entries, regions = first.entries, first.regions.copy()
+    regions[-1, 0] = len(arguments["codes"][0])
+    assert arguments["n_gaussians"] % BUCKET, "the last bucket must be short"
 
     def spoiled(name: str, at: int, value: int) -> dict[str, Any]:
         array = getattr(entries, name).copy()
         array[at] = value
         return {**arguments, "views": [replace(first, entries=replace(entries, **{name: array})), *others]}
 
-    regions = first.regions.copy()
-    regions[-1, 0] = len(arguments["codes"][0])
-    assert (last + 1) % BUCKET, "the last bucket must be short"
-    return {
+    found = {
         "no such Gaussian": spoiled("places", -1, 255),
         "no such combination": spoiled("combinations", 0, len(regions)),
         "a bucket before the first": spoiled("starts", 0, 1),
         "a bucket ends before it begins": spoiled("starts", 1, int(entries.starts[-1]) + 1),
-        "a bucket that is named twice" if len(entries.buckets) > 1 else "no such bucket, far away": (
-            spoiled("buckets", -1, int(entries.buckets[0]) if len(entries.buckets) > 1 else 2**32 - 1)
-        ),
+        "no such bucket, far away": spoiled("buckets", -1, 2**32 - 1),
         "no such bucket": spoiled("buckets", -1, int(entries.buckets[-1]) + 1),
         "entries behind the last bucket": spoiled("starts", -1, int(entries.starts[-1]) - 1),
         "no such region": {**arguments, "views": [replace(first, regions=regions), *others]},
     }
+    if len(entries.buckets) > 1:
+        found["a bucket that is named twice"] = spoiled("buckets", -1, int(entries.buckets[0]))
+    return found

@@ -22,7 +22,7 @@ from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS
 from scoup.uplift.field_build import build
 from scoup.uplift.merging import ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.settings import BUILD_PRESETS, BuildSettings
+from scoup.uplift.settings import BUILD_PRESETS
 from scoup.uplift.things import mean_embeddings
 from support import changed_regions, examples
 
@@ -39,9 +39,9 @@ def things(wall: Wall) -> ThingTable:
     return of_field(built(wall))
 
 
-def built(wall: Wall, views: Sequence[str] | None = None, **how) -> Field:
+def built(wall: Wall, views: Sequence[str] | None = None) -> Field:
     cameras = Cameras(camera for camera in wall.cameras if views is None or camera.name in views)
-    return build(wall.gaussians, cameras, wall.regions, SETTINGS, **how)
+    return build(wall.gaussians, cameras, wall.regions, SETTINGS)
 
 
 def of_field(field: Field) -> ThingTable:
@@ -56,12 +56,16 @@ def assert_same(one: ThingTable | None, other: ThingTable | None, names: Sequenc
         assert getattr(one, name).equal(getattr(other, name)), name
 
 
-def clusters(matrix: object, views: object, least_iou: float = LEAST_IOU) -> list[int]:
-    array = csr_array(np.asarray(matrix, np.float32))
-    return merge_regions(array, np.asarray(views, np.int64), least_iou)[0].tolist()
-
-
 # Regions merged.
+
+
+def roots(contributions: NDArray[np.floating]) -> NDArray[np.float64]:
+    return np.rint(ROOT_STEPS * np.sqrt(contributions.astype(np.float64)))
+
+
+def roots_of_views(matrix: NDArray[np.float32], views: NDArray[np.int64]) -> NDArray[np.float64]:
+    """[N, R] of what each Gaussian contributes to all regions of the view of a region."""
+    return roots(matrix.astype(np.float64) @ (views[:, None] == views).astype(np.float64))
 
 
 def literal_clusters(
@@ -71,15 +75,11 @@ def literal_clusters(
     view overlap by nothing.
     """
     count = len(views)
-    root = np.rint(ROOT_STEPS * np.sqrt(matrix.astype(np.float64)))
+    root, seen = roots(matrix), roots_of_views(matrix, views)
     overlap, union = np.zeros((count, count)), np.zeros((count, count))
     for one, other in itertools.product(range(count), repeat=2):
-        seen = [
-            np.rint(ROOT_STEPS * np.sqrt(matrix[:, views == views[each]].astype(np.float64).sum(1)))
-            for each in (other, one)
-        ]
         shared = 0.0 if views[one] == views[other] else float((root[:, one] * root[:, other]).sum())
-        union[one, other] = (root[:, one] * seen[0]).sum() + (root[:, other] * seen[1]).sum() - shared
+        union[one, other] = root[:, one] @ seen[:, other] + root[:, other] @ seen[:, one] - shared
         if shared > LEAST_OVERLAP * union[one, other]:
             overlap[one, other] = shared
         else:
@@ -149,10 +149,8 @@ def same(n_gaussians: int, views: Sequence[int]) -> Seen:
 @example(same(4, [0, 0, 0]), LEAST_IOU)
 @example(same(4, [0, 0, 3, 3, 7]), 0.1)
 def test_regions_merge_as_in_the_literal_clustering(each: Seen, least_iou: float) -> None:
-    found = clusters(each.matrix, each.views, least_iou)
+    found = merge_regions(csr_array(each.matrix), each.views, least_iou)[0].tolist()
     assert found == literal_clusters(each.matrix, each.views, least_iou)
-    firsts = [found.index(label) for label in range(max(found, default=-1) + 1)]
-    assert firsts == sorted(firsts)
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -162,23 +160,20 @@ def test_stability_is_the_ratio_over_regions_and_other_views(
 ) -> None:
     """Of what its regions share with those of other views, to what these views segment there."""
     random = np.random.default_rng(seed)
-    matrix = random.random((9, count)) * (random.random((9, count)) < 0.5) * 50
+    matrix = (random.random((9, count)) * (random.random((9, count)) < 0.5) * 50).astype(np.float32)
     views = random.integers(0, n_views, count)
-    labels, found = merge_regions(csr_array(matrix.astype(np.float32)), views, least_iou)
-    root = np.rint(ROOT_STEPS * np.sqrt(matrix.astype(np.float32)))
+    labels, found = merge_regions(csr_array(matrix), views, least_iou)
+    root, seen = roots(matrix), roots_of_views(matrix, views)
     assert found.shape == (labels.max() + 1,)
     for cluster, stability in enumerate(found):
         shared = union = 0.0
         for region in np.flatnonzero(labels == cluster):
             for view in set(views.tolist()) - {views[region]}:
-                seen = np.rint(ROOT_STEPS * np.sqrt(matrix[:, views == view].astype(np.float32).sum(1)))
-                back = np.rint(
-                    ROOT_STEPS * np.sqrt(matrix[:, views == views[region]].astype(np.float32).sum(1))
-                )
                 mine = np.flatnonzero((labels == cluster) & (views == view))
                 overlap = sum(root[:, region] @ root[:, other] for other in mine)
                 shared += overlap
-                union += root[:, region] @ seen + sum(root[:, other] @ back for other in mine) - overlap
+                union += root[:, region] @ seen[:, views == view][:, 0] - overlap
+                union += sum(root[:, other] @ seen[:, region] for other in mine)
         assert stability == pytest.approx(shared / max(union, 1), rel=1e-6, abs=1e-9)
 
 
@@ -205,16 +200,18 @@ def test_mean_embeddings_are_weighed_by_square_roots_of_masses() -> None:
     assert (means.dtype, agreement.dtype) == (np.float32, np.float32)
 
 
-def test_zero_embeddings_say_nothing() -> None:
-    embeddings = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
-    member, mass = np.array([0, 0, 1, 1]), np.array([1.0, 2.0, 3.0, 4.0])
-    means, agreement = mean_embeddings(embeddings, member, mass, 3)
-    assert means.tolist() == [[0, 0], [0, 1], [0, 0]]
-    assert agreement.tolist() == [1, 1, 1]
-    opposed = mean_embeddings(torch.tensor([[1.0, 0.0], [-1.0, 0.0]]), np.array([0, 0]), np.ones(2), 1)
-    assert [part.tolist() for part in opposed] == [[[0, 0]], [0]]
-    none = mean_embeddings(torch.zeros(0, 2), np.zeros(0, np.int64), np.zeros(0), 0)
-    assert [part.shape for part in none] == [(0, 2), (0,)]
+@pytest.mark.parametrize(
+    ("embeddings", "member", "expected"),
+    [
+        ([[0, 0], [0, 0], [0, 2], [0, 0]], [0, 0, 1, 1], ([[0, 0], [0, 1], [0, 0]], [1, 1, 1])),
+        ([[1, 0], [-1, 0]], [0, 0], ([[0, 0]], [0])),  # opposed
+        ([], [], ([], [])),
+    ],
+)
+def test_zero_embeddings_say_nothing(embeddings: list, member: list[int], expected: tuple) -> None:
+    rows = torch.tensor(embeddings).float().reshape(-1, 2)
+    found = mean_embeddings(rows, np.array(member, np.int64), np.ones(len(member)), len(expected[1]))
+    assert tuple(part.tolist() for part in found) == expected
 
 
 # Things of scenes.
@@ -303,25 +300,16 @@ def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None
     assert found.agreement[bare].tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5, check_fit=False),
-        replace(SETTINGS, things=False),
-    ],
-    ids=["paper", "no things"],
-)
-def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None:
-    assert not settings.things
-    assert build(wall.gaussians, wall.cameras, wall.regions, settings).thing_table is None
+def test_a_field_may_have_no_things(wall: Wall) -> None:
+    paper = replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5, check_fit=False)
+    assert build(wall.gaussians, wall.cameras, wall.regions, paper).thing_table is None
 
 
 # The same views give the same things, whichever way they came.
 
 
 def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> None:
-    other = Cameras(reversed(list(wall.cameras)))
-    found = build(wall.gaussians, other, wall.regions, SETTINGS)
+    found = built(replace(wall, cameras=Cameras(reversed(list(wall.cameras)))))
     assert found.info.provenance["views"] != list(wall.cameras.names)
     assert_same(found.thing_table, things, (*DECIDED, "mass"))
     torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)
@@ -331,12 +319,9 @@ def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> N
 def test_of_many_views_some_make_the_things(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scoup.uplift.constants.MOST_VIEWS", 2)
     fewer = of_field(built(wall))
+    turned = replace(wall, cameras=Cameras([*wall.cameras][1:] + [wall.cameras[0]]))
     names = spread(sorted(camera.name for camera in wall.cameras), 2)
-    assert_same(
-        replace(fewer, owners=fewer.owners), of_field(built(wall, names)), ("levels", "n_regions", "mass")
-    )
+    for other in (built(wall, names), built(turned)):
+        assert_same(of_field(other), fewer, ("levels", "n_regions", "mass"))
     assert int(fewer.n_regions.max()) <= 2
-    turned = Cameras([*wall.cameras][1:] + [wall.cameras[0]])
-    other = build(wall.gaussians, turned, wall.regions, SETTINGS)
-    assert_same(of_field(other), fewer, ("levels", "n_regions", "mass"))
     assert bool((fewer.owners != NO_THING).any())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,10 +51,24 @@ def scene(seed: int, folder: Path, **more: float) -> tuple[Gaussians, list[Camer
     return gaussians, photographed(gaussians, cameras_around(), folder, **more)
 
 
-def with_photographs_of(cameras: list[Camera], others: list[Camera]) -> list[Camera]:
-    return [
-        replace(camera, image_path=other.image_path) for camera, other in zip(cameras, others, strict=True)
-    ]
+def with_photographs_of(cameras: Sequence[Camera], others: Sequence[Camera]) -> list[Camera]:
+    return [replace(one, image_path=other.image_path) for one, other in zip(cameras, others, strict=True)]
+
+
+def with_focal_lengths(cameras: Sequence[Camera], factor: float) -> list[Camera]:
+    scale = torch.tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+    return [replace(camera, K=camera.K * scale) for camera in cameras]
+
+
+def mirrored(gaussians: Gaussians, axis: int) -> Gaussians:
+    signs = torch.ones(3)
+    signs[axis] = -1
+    quats = torch.cat([gaussians.quats[:, :1], -signs * gaussians.quats[:, 1:]], 1)
+    return replace(gaussians, means=gaussians.means * signs, quats=quats)
+
+
+def refuses_to_fit(said: str):
+    return pytest.raises(InputError, match=said)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -73,34 +86,24 @@ def test_a_scene_and_its_own_photographs_fit(seed: int, shown: dict[str, float],
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_is_refused(seed: int, tmp_path: Path):
     gaussians, cameras = scene(seed, tmp_path)
-    other, _ = random_gaussians(600, seed + 100), None
+    other = random_gaussians(600, seed + 100)
     other.scales.clamp_(max=0.3)
     turned = replace(gaussians, means=gaussians.means[:, [1, 2, 0]])
     shuffled = with_photographs_of(cameras, [*cameras[5:], *cameras[:5]])
     for splat, views in ((other, cameras), (turned, cameras), (gaussians, shuffled)):
         assert measure_fit(splat, views).verdict is Verdict.HOPELESS
-        with pytest.raises(
-            InputError, match=r"a\.ply: does not fit the cameras: .*check_fit=False"
-        ) as caught:
+        with refuses_to_fit(r"a\.ply: does not fit the cameras: .*median correlation.*check_fit=False"):
             check_fit(splat, views, splat="a.ply")
-        assert "median correlation" in str(caught.value)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_other_focal_lengths_and_mirrored_splats_are_named(seed: int, tmp_path: Path):
     gaussians, cameras = scene(seed, tmp_path)
     for factor, found in ((0.9, "110%"), (1.1, "90%")):
-        scale = torch.tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-        views = [replace(camera, K=camera.K * scale) for camera in cameras]
-        with pytest.raises(
-            InputError, match=f"the photographs match focal lengths of {found}; .*check the focal"
-        ):
-            check_fit(gaussians, views)
-    signs = torch.tensor([1.0, -1, 1])
-    quats = torch.cat([gaussians.quats[:, :1], -signs * gaussians.quats[:, 1:]], 1)
-    mirrored = replace(gaussians, means=signs * gaussians.means, quats=quats)
-    with pytest.raises(InputError, match="the photographs match the splat with y negated"):
-        check_fit(mirrored, cameras)
+        with refuses_to_fit(f"the photographs match focal lengths of {found}; .*check the focal"):
+            check_fit(gaussians, with_focal_lengths(cameras, factor))
+    with refuses_to_fit("the photographs match the splat with y negated"):
+        check_fit(mirrored(gaussians, 1), cameras)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -132,16 +135,14 @@ def test_cameras_that_see_nothing(tmp_path: Path):
     with pytest.warns(ScoupWarning, match="3 of 8 cameras tried see nothing"):
         check_fit(gaussians, bare)
     check_fit(gaussians, bare[2:])  # one of six
-    with pytest.raises(
-        InputError, match="the splat does not fit the cameras: 8 of 8 cameras tried see nothing"
-    ):
+    with refuses_to_fit("the splat does not fit the cameras: 8 of 8 cameras tried see nothing"):
         check_fit(gaussians, away)
     # The photographs of the others decide.
     check_fit(gaussians, [*bare[:3], *cameras[3:8]])
     # Unless nearly all are blind, be they few.
     assert measure_fit(gaussians, [*bare[:3], cameras[3]]).verdict is Verdict.HOPELESS
     assert measure_fit(gaussians, [*bare[:2], *cameras[3:5]]).verdict is Verdict.FITS
-    with pytest.raises(InputError, match="cameras: the only camera tried sees nothing of the splat"):
+    with refuses_to_fit("cameras: the only camera tried sees nothing of the splat"):
         check_fit(gaussians, away[:1])
 
 
@@ -208,11 +209,8 @@ def test_similarity_is_a_correlation_of_structure(count: int, seed: int, see_thr
 
 def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     gaussians, cameras = scene(0, tmp_path)
-    maps = {
-        camera.name: {"s": scoup.RegionMap(torch.zeros(48, 64, dtype=torch.int32), torch.eye(1, 8))}
-        for camera in cameras
-    }
-    regions = scoup.Regions.from_maps(maps)
+    map_of_all = scoup.RegionMap(torch.zeros(48, 64, dtype=torch.int32), torch.eye(1, 8))
+    regions = scoup.Regions.from_maps({camera.name: {"s": map_of_all} for camera in cameras})
     settings = scoup.BuildSettings(n_atoms=1, k=1, keep=1)
     field = scoup.build(gaussians, scoup.Cameras(cameras), regions, settings)
     wrong = scoup.Cameras(with_photographs_of(cameras, [*cameras[5:], *cameras[:5]]))
@@ -225,28 +223,24 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
         raise AssertionError("work was done on a scene that does not fit")
 
     monkeypatch.setattr("scoup.uplift.field_build.code_regions", too_late)
-    with pytest.raises(InputError, match=r"a\.ply: does not fit the cameras"):
+    with refuses_to_fit(r"a\.ply: does not fit the cameras"):
         scoup.build(gaussians, wrong, regions, settings, sources=scoup.FieldSources(geometry_path="a.ply"))
 
 
 def test_codes_of_hardly_any_gaussian():
     weights = torch.zeros(1000, 3, 2)
-    with pytest.raises(InputError, match="no Gaussian contributes to a region"):
+    with refuses_to_fit("no Gaussian contributes to a region"):
         check_coded(weights)
     weights[:9, 1, 0] = 1
     with pytest.warns(ScoupWarning, match=r"only 0.90% of the Gaussians"):
         check_coded(weights)
     weights[9:11, 1, 0] = 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_coded(weights)
+    check_coded(weights)  # a warning would be an error
 
 
 def test_numbers_behind_a_verdict():
     own = np.array([0.9, 0.8, 0.1, np.nan])
-    fit = Fit(
-        ("a", "b", "c", "d"), np.array([1.0, 0.5, 0.2, 0.0]), np.where(np.eye(4, dtype=bool), own, 0.05)
-    )
+    fit = Fit(tuple("abcd"), np.array([1.0, 0.5, 0.2, 0.0]), np.where(np.eye(4, dtype=bool), own, 0.05))
     assert fit.compared.tolist() == [True, True, True, False]
     assert fit.blind.tolist() == [False, False, False, True]
     assert (fit.unlike, fit.mistaken) == (["c"], [])

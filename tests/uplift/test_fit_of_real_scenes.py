@@ -14,35 +14,16 @@ from PIL import Image
 import scoup
 from scoup.scene import Camera, Gaussians
 from scoup.uplift.fit import Verdict, measure_fit
+from uplift.test_fit import mirrored, with_focal_lengths, with_photographs_of
 
 pytestmark = [pytest.mark.data, pytest.mark.slow, pytest.mark.timeout(900)]
+REAL = [f"real/{name}-20" for name in ("table", "shelves", "hall", "yard")]
 SPLATS = {
     "kitchen": "kitchen/scene/model.splat",
-    "desk": "desk/point_cloud.splat",
-    **{
-        f"real/{name}-20": f"real/{name}-20/point_cloud.splat"
-        for name in ("table", "shelves", "hall", "yard")
-    },
+    **{name: f"{name}/point_cloud.splat" for name in ("desk", *REAL)},
 }
 OTHERS = dict(zip(SPLATS, (*tuple(SPLATS)[1:], "kitchen"), strict=True))
 EYE = np.eye(3)
-
-
-def mirrored(gaussians: Gaussians, axis: int) -> Gaussians:
-    signs = torch.ones(3)
-    signs[axis] = -1
-    quats = torch.cat([gaussians.quats[:, :1], -signs * gaussians.quats[:, 1:]], 1)
-    return replace(gaussians, means=gaussians.means * signs, quats=quats)
-
-
-def one_off(cameras: Sequence[Camera]) -> list[Camera]:
-    others = [*cameras[1:], cameras[0]]
-    return [replace(one, image_path=other.image_path) for one, other in zip(cameras, others, strict=True)]
-
-
-def with_focal_lengths(cameras: Sequence[Camera], factor: float) -> list[Camera]:
-    scale = torch.tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-    return [replace(camera, K=camera.K * scale) for camera in cameras]
 
 
 def normalised(cameras: Sequence[Camera], scale: float) -> list[Camera]:
@@ -61,11 +42,8 @@ WRONG: dict[str, Callable[[Gaussians, list[Camera]], tuple[Gaussians, list[Camer
         f"focal lengths of {factor}": lambda g, c, factor=factor: (g, with_focal_lengths(c, factor))
         for factor in (0.5, 0.9, 0.95, 1.05, 1.1, 2.0)
     },
-    "photographs one off": lambda g, c: (g, one_off(c)),
-    "photographs in reverse": lambda g, c: (
-        g,
-        [replace(one, image_path=two.image_path) for one, two in zip(c, c[::-1], strict=True)],
-    ),
+    "photographs one off": lambda g, c: (g, with_photographs_of(c, [*c[1:], c[0]])),
+    "photographs in reverse": lambda g, c: (g, with_photographs_of(c, c[::-1])),
     "normalised": lambda g, c: (g, normalised(c, 0.7)),
     "other units": lambda g, c: (g, [camera.moved(EYE, np.zeros(3), 0.1) for camera in c]),
     "axes swapped": lambda g, c: (g, [camera.moved(EYE[[1, 2, 0]], np.zeros(3)) for camera in c]),

@@ -98,10 +98,9 @@ def test_levels_of_different_splats_are_refused(tmp_path: Path) -> None:
         save_langsplatv2(some_gaussians(5 + (number == 3), 0), tmp_path / f"a_{number}" / "c.pth")
     with refuses(FileFormatError):
         field_from_langsplat(langsplat_levels(tmp_path / "a_1" / "c.pth"))
-    with refuses():
-        field_from_langsplat([tmp_path / "a_1" / "c.pth"], k=9)
-    with refuses():
-        field_from_langsplat([])
+    for paths, k in (([tmp_path / "a_1" / "c.pth"], 9), ([], 4)):
+        with refuses():
+            field_from_langsplat(paths, k=k)
 
 
 def clustered(count: int, dim: int = 16, kinds: int = 6) -> torch.Tensor:
@@ -135,24 +134,22 @@ def test_unknown_rows_have_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
     rows[3], rows[50], rows[99] = 0, torch.nan, torch.inf
     field = field_from_features(some_gaussians(100, 0), rows, n_atoms=12, k=2)
     assert (~field.coded()).nonzero()[:, 0].tolist() == [3, 50, 99]
-    with refuses():
-        field_from_features(some_gaussians(5, 0), torch.zeros(5, 8))
-    with refuses():
-        field_from_features(some_gaussians(100, 0), rows[:99])
-    with refuses():
-        field_from_features(some_gaussians(100, 0), rows, levels=("a", "b"))
+    for wrong, levels in ((torch.zeros(100, 8), None), (rows[:99], None), (rows, ("a", "b"))):
+        with refuses():
+            field_from_features(some_gaussians(100, 0), wrong, levels=levels)
 
 
 def test_arrays_are_read_from_files(tmp_path: Path) -> None:
     rows = clustered(9)
+    half = rows.half().numpy()
     np.save(tmp_path / "a.npy", rows.numpy())
-    np.save(tmp_path / "half.npy", rows.half().numpy())
+    np.save(tmp_path / "half.npy", half)
     torch.save(rows, tmp_path / "a.pt")
-    assert np.array_equal(read_features(tmp_path / "a.npy"), rows.numpy())
-    assert np.array_equal(read_features(tmp_path / "a.pt"), rows.numpy())
-    assert read_features(tmp_path / "half.npy").dtype == np.float16
-    field = field_from_features(some_gaussians(9, 0), read_features(tmp_path / "half.npy"), n_atoms=8)
-    assert len(field) == 9
+    for name, expected in (("a.npy", rows.numpy()), ("a.pt", rows.numpy()), ("half.npy", half)):
+        found = read_features(tmp_path / name)
+        assert found.dtype == expected.dtype
+        assert np.array_equal(found, expected)
+    assert len(field_from_features(some_gaussians(9, 0), half, n_atoms=8)) == 9
     torch.save({"a": rows}, tmp_path / "dict.pt")
     torch.save(torch.zeros(1).expand(10**9, 3), tmp_path / "large.pt")
     np.save(tmp_path / "whole.npy", np.zeros((4, 4), int))

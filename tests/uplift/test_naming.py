@@ -57,12 +57,11 @@ def test_votes_are_those_of_a_plain_reading(seed: int) -> None:
     for view, found in views:
         best = defaultdict(float)
         top = [0.0] * 3
-        for text, score, box in zip(
-            found.texts.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True
-        ):
+        lists = found.texts.tolist(), found.scores.tolist(), (found.boxes / 2).tolist()
+        for text, score, box in zip(*lists, strict=True):
             top[text] = max(top[text], score)
             for thing, other in enumerate(view.boxes.tolist()):
-                overlap = literal_iou([side / 2 for side in box], other)
+                overlap = literal_iou(box, other)
                 if view.masks[thing].any() and overlap >= NAMING_IOU:
                     best[text, thing] = max(best[text, thing], score * overlap)
         for key, value in best.items():
@@ -73,10 +72,10 @@ def test_votes_are_those_of_a_plain_reading(seed: int) -> None:
             tops[text].append(top[text])
     assert len(votes) == len(names.votes) > 3
     for (text, thing), each in votes.items():
-        wanted = sum(sorted(each)[::-1][:BEST_VIEWS]) / min(max(seen[thing], 2), BEST_VIEWS)
+        wanted = sum(sorted(each)[-BEST_VIEWS:]) / min(max(seen[thing], 2), BEST_VIEWS)
         assert float(names.votes_of(text, 4)[thing]) == pytest.approx(wanted, abs=1e-6)
     for text in range(3):
-        mean = sum(sorted(tops[text])[::-1][:BEST_SCORES]) / BEST_SCORES
+        mean = sum(sorted(tops[text])[-BEST_SCORES:]) / BEST_SCORES
         assert float(names.presence[text]) == pytest.approx(mean / (mean + EVEN_SCORE), abs=1e-6)
     alone = count_votes(("b",), [votes_in_view(view, found, 3).of_text(1) for view, found in views])
     torch.testing.assert_close(alone.votes_of(0, 4), names.votes_of(1, 4))
@@ -88,13 +87,10 @@ def test_masks_are_compared_as_masks() -> None:
     shape = torch.zeros(1, 40, 40, dtype=torch.bool)
     shape[0, :, :10] = shape[0, 30:] = True
     view = ThingsInView(shape, torch.tensor([[0.0, 0, 40, 40]]))
-    box = torch.tensor([[0.0, 0, 80, 80]])
-    zero, score = torch.zeros(1, dtype=torch.int64), torch.ones(1)
-    large = torch.nn.functional.interpolate(shape[None].float(), (80, 80))[0] > 0
-    assert float(overlaps(Detections(zero, score, box, (80, 80)), view)) == 1
-    assert float(overlaps(Detections(zero, score, box, (80, 80), large), view)) == 1
-    whole = torch.ones(1, 80, 80, dtype=torch.bool)
-    assert float(overlaps(Detections(zero, score, box, (80, 80), whole), view)) == pytest.approx(700 / 1600)
+    found = torch.zeros(1, dtype=torch.int64), torch.ones(1), torch.tensor([[0.0, 0, 80, 80]]), (80, 80)
+    large = shape.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    for masks, expected in ((None, 1), (large, 1), (torch.ones_like(large), 700 / 1600)):
+        assert float(overlaps(Detections(*found, masks), view)) == pytest.approx(expected)
 
 
 def test_the_thing_in_a_box_is_named() -> None:

@@ -1,27 +1,36 @@
-"""Region sums of all views, in memory and in a file."""
+"""Region sums of all views, in memory and in files: kept as they are, and refused where they are damaged."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from safetensors.numpy import load_file
+from tests.fuzzing.containers import SUMS
 
 import scoup
 from cli_support import snapshot
 from messages import refuses
+from raster.parity import needs_native
 from scoup import raster
 from scoup.base import FileFormatError, MissingFileError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
+from scoup.scene import SparseCodes
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.storage import entries
-from scoup.uplift.storage.array_file import view_file
+from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
 from scoup.uplift.stored_sums import RegionSums
 from support import small_scene
+
+Arrays = dict[str, NDArray[Any]]
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +40,20 @@ def scene():
 
 @pytest.fixture(scope="module")
 def kept(scene) -> RegionSums:
-    gaussians, cameras, regions = scene
-    return region_sums(gaussians, cameras, regions)
+    return region_sums(*scene)
+
+
+@pytest.fixture(scope="module")
+def whole(scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the same sums, read-only."""
+    folder = tmp_path_factory.mktemp("sums") / "f.sums"
+    region_sums(*scene, path=folder)
+    return folder
 
 
 @pytest.fixture
-def path(scene, tmp_path: Path) -> Path:
-    """A folder of the same sums."""
-    gaussians, cameras, regions = scene
-    region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
-    return tmp_path / "f.sums"
+def path(whole: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(whole, tmp_path / "f.sums"))
 
 
 NONE = torch.zeros(0, dtype=torch.int32)
@@ -84,16 +97,14 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
 
 
 def test_a_file_gives_back_what_it_was_given(scene, kept, path):
-    gaussians, cameras, regions = scene
-    made = region_sums(gaussians, cameras, regions, path=path)
+    made, back = region_sums(*scene, path=path), RegionSums.open(path)
     assert_same(made, kept)
-    back = RegionSums.open(path)
     assert_same(back, kept)
     assert torch.equal(back.order, kept.order)
     assert (back.fingerprint, back.levels, back.raster_preset) == (kept.fingerprint, kept.levels, "inria")
     assert back.scale == "auto"
     assert back.bytes == made.bytes == folder_bytes(path)
-    assert RegionSums.open(path).matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
+    assert back.matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
     with refuses():
         back.append("another", NOTHING)
 
@@ -105,24 +116,22 @@ def test_the_last_one_of_a_view_counts(scene, kept, tmp_path):
     sums.append(second, NOTHING)
     assert len(sums.views[second].parts[0].places) == 0
     assert sums.bytes == folder_bytes(tmp_path / "f.sums")
-    again = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
+    again = region_sums(*scene, path=tmp_path / "f.sums")
     assert set(again.views) == set(kept.views)
     for name in kept.views:
         np.testing.assert_array_equal(again.views[name].parts[0].weights, kept.views[name].parts[0].weights)
 
 
 def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
-    gaussians, cameras, regions = scene
+    regions = scene[2]
     monkeypatch.setattr(entries, "MOST_COMBINATIONS", 7)
-    sums = region_sums(gaussians, cameras, regions)
+    sums = region_sums(*scene)
     assert all(len(view.parts) > 1 for view in sums.views.values())
     for level in range(3):
         np.testing.assert_array_equal(sums.matrix(level).toarray(), kept.matrix(level).toarray())
     generator = torch.Generator().manual_seed(0)
-    codes = [
-        scoup.SparseCodes.from_dense(torch.rand(len(regions.embeddings(level)[0]), 9, generator=generator), 3)
-        for level in regions.levels
-    ]
+    counts = [len(regions.embeddings(level)[0]) for level in regions.levels]
+    codes = [SparseCodes.from_dense(torch.rand(count, 9, generator=generator), 3) for count in counts]
     codebook = torch.randn(3, 9, 16, generator=generator)
     for backend in ("native", "reference"):
         found, expected = (scoup.vote(each, codes, codebook, 2, 3, backend=backend) for each in (sums, kept))
@@ -131,14 +140,13 @@ def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
 
 def test_what_was_complete_stays(scene, kept, path):
     """Whichever files are there, and whatever a killed process was writing."""
-    gaussians, cameras, regions = scene
-    whole = snapshot(path)
+    whole, names = snapshot(path), scene[1].names
     for count in range(len(kept)):
-        for name in cameras.names[count:]:
+        for name in names[count:]:
             (path / view_file(name)).unlink()
-        (path / f".{view_file(cameras.names[count])}.partial").write_bytes(b"half a view")
-        assert list(RegionSums.open(path).views) == list(cameras.names[:count])
-        assert_same(region_sums(gaussians, cameras, regions, path=path), kept)
+        (path / f".{view_file(names[count])}.partial").write_bytes(b"half a view")
+        assert list(RegionSums.open(path).views) == list(names[:count])
+        assert_same(region_sums(*scene, path=path), kept)
         assert snapshot(path) == whole
 
 
@@ -164,29 +172,6 @@ def test_they_are_safetensors(kept, path):
     assert all(one.bytes == folder_bytes(path) for one in opened)
 
 
-@pytest.mark.parametrize("file", ["scene.safetensors", view_file("view_01.png")])
-def test_a_flipped_bit_is_refused_with_the_name_of_the_file(path, file):
-    whole = (path / file).read_bytes()
-    for place in (40, len(whole) // 3, len(whole) - 1):
-        damaged = bytearray(whole)
-        damaged[place] ^= 4
-        (path / file).write_bytes(damaged)
-        with refuses(FileFormatError):
-            RegionSums.open(path)
-
-
-def test_what_is_something_else_is_refused(path):
-    for other in (b"a picture, or the like" * 9, b""):
-        (path / view_file("view_00.png")).write_bytes(other)
-        with refuses(FileFormatError):
-            RegionSums.open(path)
-    (path / "scene.safetensors").unlink()
-    with refuses(MissingFileError):
-        RegionSums.open(path)
-    with refuses(MissingFileError):
-        RegionSums.open(path.with_name("g.sums"))
-
-
 def test_views_are_read_ahead_in_order(scene):
     _, cameras, regions = scene
     read = list(read_labels(regions, list(cameras), torch.device("cpu")))
@@ -206,3 +191,105 @@ def test_a_view_takes_no_space_for_buckets_that_it_does_not_see(scene):
     for view in sums.views.values():
         for part in view.parts:
             assert len(part.buckets) == len(part.starts) - 1 <= len(gaussians) // entries.BUCKET + 2
+
+
+# Damaged files.
+
+
+@pytest.mark.parametrize("file", ["scene.safetensors", view_file("view_01.png")])
+def test_a_flipped_bit_is_refused_with_the_name_of_the_file(path, file):
+    whole = (path / file).read_bytes()
+    for place in (40, len(whole) // 3, len(whole) - 1):
+        damaged = bytearray(whole)
+        damaged[place] ^= 4
+        (path / file).write_bytes(damaged)
+        with refuses(FileFormatError):
+            RegionSums.open(path)
+
+
+def test_what_is_something_else_is_refused(path):
+    first = path / view_file("view_00.png")
+    others = (path / view_file("view_01.png")).read_bytes()
+    for other in (b"a picture, or the like" * 9, b"", others):
+        first.write_bytes(other)
+        with refuses(FileFormatError):
+            RegionSums.open(path)
+    (path / "scene.safetensors").unlink()
+    for nowhere in (path, path.with_name("g.sums")):
+        with refuses(MissingFileError):
+            RegionSums.open(nowhere)
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    (r"\"version\": 1", r"\"version\": Infinity"),
+    ('"order"', '"deep": ' + "[" * 100_000 + ', "order"'),
+    ('"shape": [600]', '"shape": [1099511627776, 0]'),
+    ('"shape": [600]', '"shape": [601]'),
+    ('"shape": [600]', '"shape": [1e308, 1e308]'),
+    ("9600]", "9604]"), ('"I32"', '"BOOL"'),
+])  # fmt: skip
+def test_headers_that_make_no_sense(path, old, new):
+    file = path / "scene.safetensors"
+    whole = file.read_bytes()
+    parts = SUMS.split(whole)
+    assert old.encode() in parts[0]
+    parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
+    file.write_bytes(SUMS.join(whole, parts))
+    # Reasons of json are worded by Python.
+    said = r"scene.safetensors: (is invalid|has an invalid format version)"
+    with pytest.raises(FileFormatError, match=said):
+        RegionSums.open(path)
+
+
+def changed(path: Path, change: Callable[[Arrays], object]) -> Path:
+    """The folder with other arrays in the file of its first view, whose checksum agrees."""
+    file = path / view_file("view_00.png")
+    stored = read_arrays(file)
+    arrays = {name: array.copy() for name, array in stored.arrays.items()}
+    change(arrays)
+    write_arrays(file, stored.header, arrays, overwrite=True)
+    return path
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays: arrays.pop("places.0"),
+        lambda arrays: arrays.update({"weights.0": arrays["weights.0"].astype(np.float16)}),
+        lambda arrays: arrays.update({"starts.0": arrays["starts.0"][:-1]}),
+    ],
+    ids=["none", "types", "shapes"],
+)
+def test_entries_that_are_none_are_refused_at_once(path, change):
+    with refuses(FileFormatError):
+        RegionSums.open(changed(path, change))
+
+
+@pytest.mark.parametrize(("name", "value"), [("combinations.0", 2**16 - 1), ("table.0", 2**31 - 1)])
+@pytest.mark.parametrize("backend", ["reference", pytest.param("native", marks=needs_native)])
+def test_entries_and_regions_that_point_outside_are_refused_where_they_are_used(path, backend, name, value):
+    def beyond(arrays: Arrays) -> None:
+        arrays[name].flat[0] = value
+
+    sums = RegionSums.open(changed(path, beyond))
+    rows = [{view: slice(0, 16) for view in sums.views} for _ in sums.levels]
+    codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
+    with refuses():
+        scoup.vote(sums.select(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
+    if name == "combinations.0":
+        with refuses():
+            sums.triplets("view_00.png", 0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_that_are_no_numbers_or_too_large_together(path):
+    def signalling(arrays: Arrays) -> None:
+        arrays["weights.0"].view(np.uint32)[:] = 0x7FA00000
+
+    def large(arrays: Arrays) -> None:
+        arrays["weights.0"][:] = np.finfo(np.float32).max
+        arrays["table.0"][:] = 0
+
+    for change, shows in ((signalling, np.isnan), (large, np.isinf)):
+        sums = RegionSums.open(changed(path, change))
+        assert shows(sums.triplets("view_00.png", 0)[2]).any()

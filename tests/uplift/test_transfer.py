@@ -54,8 +54,7 @@ def test_a_format_that_rounds_keeps_most_codes(field: LanguageField, suffix: str
     rounded = load_gaussians(tmp_path / f"rounded{suffix}")
     rows = source_rows(field.gaussians, rounded)
     assert (rows >= 0).all()
-    same = (field.gaussians.means[rows] - rounded.means).norm(dim=1)
-    assert float(same.max()) < 0.01
+    assert float((field.gaussians.means[rows] - rounded.means).norm(dim=1).max()) < 0.01
 
 
 def test_the_nearest_that_contains_the_centre_is_the_source() -> None:
@@ -73,10 +72,8 @@ def test_the_nearest_that_contains_the_centre_is_the_source() -> None:
 
 
 def test_rows_that_are_not_finite_are_nobody() -> None:
-    before = random_gaussians(5, 1)
-    means = before.means.clone()
-    means[2] = torch.nan
-    broken = replace(before, means=means)
+    before, broken = random_gaussians(5, 1), random_gaussians(5, 1)
+    broken.means[2] = torch.nan
     assert source_rows(broken, broken).tolist() == [0, 1, -1, 3, 4]
     assert source_rows(before.select([]), broken).tolist() == [-1] * 5
     assert source_rows(before.select([0]), before.select([0])).tolist() == [0]
@@ -89,8 +86,5 @@ def test_codes_of_many_atoms_are_carried(field: LanguageField) -> None:
     found = transfer(wide, joined(moved(random_gaussians(2, 9), 100.0), field.gaussians))
     assert found.code_indices.dtype == torch.uint16
     assert found.code_indices[2:].equal(indices)
-
-
-def test_a_splat_elsewhere_is_refused(field: LanguageField) -> None:
     with refuses():
         transfer(field, moved(field.gaussians, 1000.0))

@@ -1,4 +1,4 @@
-"""The vote by the compiled core against the reference, over random region sums."""
+"""The vote by the compiled core against the reference, over random region sums; and its rounds, worked out by hand."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor
 
 from messages import refuses
 from raster.parity import assert_close, needs_native
 from scoup.base import InputError
-from scoup.scene import SparseCodes
-from scoup.uplift.reweighting import EarlierRound
+from scoup.raster import ViewSums, merge
+from scoup.scene import SparseCodes, index_dtype
+from scoup.uplift.reweighting import EarlierRound, scene_sharpness
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.vote_backends.native import Vote as NativeVote
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
+from scoup.uplift.voting import vote
 from support import examples, threads_of_torch
 from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_vote
 
@@ -46,8 +50,7 @@ def test_the_core_agrees_with_the_reference(sizes: Sizes, keep: int, seed: int) 
 @pytest.mark.parametrize("backend", [pytest.param(NativeVote, marks=needs_native), ReferenceVote])
 def test_a_process_may_have_no_share(backend):
     arguments = random_vote(Sizes(), 2)
-    earlier = earlier_of(arguments, 4, 3)
-    prepared = backend(**arguments, device=CPU)
+    earlier, prepared = earlier_of(arguments, 4), backend(**arguments, device=CPU)
     for nothing in (range(0), range(2, 2)):
         indices, weights = prepared.round(4, earlier, True, nothing)
         assert indices.shape == weights.shape == (0, 3, 4)
@@ -55,9 +58,10 @@ def test_a_process_may_have_no_share(backend):
 
 
 @needs_native
-@pytest.mark.parametrize("n_atoms", [24, 300])
-def test_all_atoms_may_be_kept(n_atoms):
-    check_rounds(NativeVote, Sizes(n_atoms=n_atoms), n_atoms, 1)
+@pytest.mark.usefixtures("instruction_set")
+@pytest.mark.parametrize(("n_atoms", "keep"), [(24, 4), (24, 24), (300, 300)])
+def test_every_instruction_set_agrees_also_where_all_atoms_are_kept(n_atoms, keep):
+    check_rounds(NativeVote, Sizes(n_gaussians=7200 // n_atoms, n_atoms=n_atoms), keep, 7)
 
 
 def test_the_reference_adds_codes_up_as_written():
@@ -81,25 +85,17 @@ def test_the_reference_adds_codes_up_as_written():
 @needs_native
 def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets():
     arguments = random_vote(Sizes(5000, 6, 3, 48, 4, 20_000), 5)
-    earlier, buckets = earlier_of(arguments, 4, 3), buckets_of(arguments)
-    found = []
+    earlier, buckets = earlier_of(arguments, 4), buckets_of(arguments)
+    expected = None
     for threads in (1, 2, 3, 5):
         with threads_of_torch(threads):
             prepared = NativeVote(**arguments, device=CPU)
-            found.append(
-                (*prepared.round(4, earlier, False, buckets), *prepared.deviations(earlier, buckets))
-            )
+            found = *prepared.round(4, earlier, False, buckets), *prepared.deviations(earlier, buckets)
             shares = buckets[:3], buckets[3:4], buckets[4:]
             parts = [prepared.round(4, earlier, False, some) for some in shares]
-        assert torch.equal(torch.cat([weights for _, weights in parts]), found[0][1])
-    for others in found[1:]:
-        assert all(torch.equal(one, other) for one, other in zip(others, found[0], strict=True))
-
-
-@needs_native
-@pytest.mark.usefixtures("instruction_set")
-def test_every_instruction_set_agrees_with_the_reference():
-    check_rounds(NativeVote, Sizes(), 4, 7)
+        expected = expected or found
+        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
+        assert torch.equal(torch.cat([weights for _, weights in parts]), expected[1])
 
 
 @needs_native
@@ -119,12 +115,9 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
         rows = torch.randint(0, 3, rows.shape, generator=generator).float()
     elif kind == "sparse":
         rows *= torch.rand(rows.shape, generator=generator) < 0.1
-    elif kind == "zero":
-        rows *= 0
-    elif kind in ("large", "small"):
-        rows *= 1e30 if kind == "large" else 1e-30
-    atoms = torch.arange(n_atoms).expand(50, n_atoms)
-    dtype = torch.uint8 if n_atoms <= 256 else torch.uint16
+    else:
+        rows *= {"zero": 0.0, "large": 1e30, "small": 1e-30}[kind]
+    atoms = torch.arange(n_atoms).expand(50, n_atoms).to(index_dtype(n_atoms)).contiguous()
     (view,) = arguments["views"]
     entries = replace(
         view.entries,
@@ -134,7 +127,7 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
         weights=np.ones(50, np.float32),
     )
     arguments["views"] = [replace(view, entries=entries, regions=np.arange(50)[:, None])]
-    arguments["codes"] = [SparseCodes(atoms.to(dtype).contiguous(), rows, n_atoms)]
+    arguments["codes"] = [SparseCodes(atoms, rows, n_atoms)]
     indices, weights = NativeVote(**arguments, device=CPU).round(keep, None, False, range(1))
     expected = SparseCodes.from_dense(rows, keep)
     assert indices.dtype == expected.indices.dtype
@@ -157,7 +150,7 @@ def test_damaged_sums_are_refused(why, backend):
 def test_an_earlier_round_that_does_not_fit_is_refused():
     arguments = random_vote(Sizes(), 2)
     prepared, buckets = NativeVote(**arguments, device=CPU), buckets_of(arguments)
-    good = earlier_of(arguments, 4, 3)
+    good = earlier_of(arguments, 4)
     beyond_the_codebook = good.indices.clone()
     beyond_the_codebook[7, 0, 0] = 24
     for bad in (
@@ -179,3 +172,103 @@ def test_codes_beyond_the_codebook_are_refused(backend):
     arguments["codes"][0].indices[2, 0] = 24
     with refuses():
         backend(**arguments, device=CPU)
+
+
+# Rounds: regions count by their agreement with what the round before has found.
+
+
+on_every_backend = pytest.mark.parametrize("backend", ["native", "reference"])
+
+
+def codes_of(dense: Tensor, k: int = 3) -> SparseCodes:
+    return SparseCodes.from_dense(dense, k)
+
+
+def sums_of(weights: Tensor) -> RegionSums:
+    """One level, one view: what each Gaussian contributes to each region [N, R]."""
+    count, regions = weights.shape
+    sums = RegionSums("", torch.arange(count), ["m"])
+    gaussian, region = weights.nonzero(as_tuple=True)
+    table = torch.arange(regions, dtype=torch.int32)[:, None]
+    sums.append("v", ViewSums(*merge(gaussian, region, weights[gaussian, region], regions), table))
+    sums.rows = [{"v": slice(0, regions)}]
+    return sums
+
+
+@on_every_backend
+def test_a_region_that_disagrees_loses_its_say(backend):
+    """Three masks say one thing, one bleeds over from another: after a second round hardly anything of it is left."""
+    codebook = torch.eye(4)[None]
+    codes = [codes_of(torch.eye(4)[[0, 0, 0, 1]], 2)]
+    sums = sums_of(torch.tensor([[1.0, 1, 1, 2], [0, 0, 0, 1], [0, 0, 0, 0]]))
+    once, twice, thrice = (vote(sums, codes, codebook, rounds, 2, backend=backend) for rounds in (1, 2, 3))
+    assert once.weights[0, 0].tolist() == pytest.approx([3 / 5, 2 / 5])
+    assert once.indices[0, 0].tolist() == [0, 1]
+    assert once.sharpness is None
+    assert twice.sharpness is not None
+    share = float(twice.weights[0, 0, 1])
+    assert share < 0.3 < 2 / 5
+    assert twice.weights[1, 0].tolist() == [1, 0]  # what only one region paints keeps its code
+    assert not twice.weights[2].any()
+    assert float(thrice.weights[0, 0, 1]) < share
+
+
+@on_every_backend
+def test_the_second_round_is_what_the_equations_say(backend):
+    """Worked out Gaussian by Gaussian in float64."""
+    generator = torch.Generator().manual_seed(3)
+    n, regions, atoms = 300, 12, 9
+    codebook = torch.randn(1, atoms, 6, generator=generator)
+    dense = torch.rand(regions, atoms, generator=generator)
+    dense[::5] = 0
+    codes = codes_of(dense)
+    weight = torch.rand(n, regions, generator=generator)
+    weight[torch.rand(n, regions, generator=generator) < 0.6] = 0
+    found = vote(sums_of(weight), [codes], codebook, 2, 4, backend=backend)
+    W, C = codes.to_dense().double(), codebook[0].double()
+    first = codes_of((weight.double() @ W).float(), 4).to_dense().double()
+    cosines = torch.nn.functional.normalize(first @ C, dim=1) @ torch.nn.functional.normalize(W @ C, dim=1).T
+    cosines[~first.any(1)] = 1
+    deviations = (1 - cosines)[weight > 0]
+    sharpness = 3 / deviations.median().clamp(min=1e-3)
+    assert found.sharpness is not None
+    assert float(found.sharpness[0]) == pytest.approx(float(sharpness), rel=1e-4)
+    factors = torch.exp(sharpness * (cosines - 1).clamp(max=0)).clamp(min=1e-6)
+    expected = codes_of(((weight.double() * factors) @ W).float(), 4)
+    assert torch.equal(found.indices[:, 0], expected.indices)
+    torch.testing.assert_close(found.weights[:, 0], expected.weights, atol=1e-4, rtol=0)
+
+
+@on_every_backend
+def test_a_gaussian_keeps_a_code_however_odd_its_regions_are(backend):
+    """No region agrees with the mixture that the first round hands on, and yet nobody ends without a code."""
+    codebook = torch.eye(8)[None]
+    sums = sums_of(torch.stack([torch.arange(1.0, 9), torch.eye(8)[0]]))
+    found = vote(sums, [codes_of(torch.eye(8), 1)], codebook, 3, 1, backend=backend)
+    assert found.weights[:, 0].tolist() == [[1.0], [1.0]]
+    assert found.indices[:, 0].tolist() == [[7], [0]]
+
+
+def test_sharpness_is_set_by_the_usual_deviation():
+    found = scene_sharpness([torch.tensor([0.1, 0.2, 0.9]), torch.zeros(0), torch.zeros(5)])
+    assert found.tolist() == pytest.approx([3 / 0.2, 3, 3 / 1e-3])
+
+
+@on_every_backend
+def test_what_does_not_fit_is_refused(backend):
+    codebook = torch.eye(4)[None]
+    codes = [codes_of(torch.eye(4), 1)]
+    sums = sums_of(torch.eye(4)[3:])
+    for changes in ({"rounds": 0}, {"keep": 0}, {"codes": codes * 2}, {"codebook": torch.eye(5)[None]}):
+        given = {"codes": codes, "codebook": codebook, "rounds": 1, "keep": 1, **changes}
+        with refuses():
+            vote(sums, backend=backend, **given)
+    of_three = sums.select(["v"], [{"v": slice(0, 3)}])
+    with refuses():
+        vote(of_three, [codes_of(torch.eye(4)[:3], 1)], codebook, backend=backend)
+    with refuses():
+        sums.select(["w"], [{"w": slice(0, 4)}])
+    for rows in ([{"w": slice(0, 4)}], None):
+        sums.rows = rows
+        with refuses():
+            vote(sums, codes, codebook, backend=backend)

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
 from unittest.mock import patch
 
 import pytest
 import torch
 
 from scoup.base import InputError
-from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, random_vote, usual_deviation
+from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, random_vote
 
 
 def check_vote(sizes: Sizes, keep: int, seed: int, device: str) -> None:
     from scoup.uplift.vote_backends.triton import Vote
 
     check_rounds(Vote, sizes, keep, seed, device)
-
-
-def check_usual_deviation(device: str) -> None:
-    """The example worked out by hand, through the rounds as a build runs them."""
-    from scoup.uplift.vote_backends import triton as vote_triton
-
-    sums, codes, codebook, expected = usual_deviation()
-    rounds = importlib.import_module("scoup.uplift.voting")
-    with patch.object(rounds, "load_backend", lambda *_: ("triton", vote_triton)):
-        found = rounds.vote(sums, codes, codebook.to(device), 2, None)
-    assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)
 
 
 def check_few_at_a_time(device: str) -> None:
@@ -43,14 +31,10 @@ def check_few_at_a_time(device: str) -> None:
         ("MOST_KNOWN", 1, [range(2)]),
         ("MOST_KEPT", 1, [range(2)]),
     ):
-        before = getattr(vote_triton, name)
-        setattr(vote_triton, name, most)
-        try:
+        with patch.object(vote_triton, name, most):
             prepared = vote_triton.Vote(**arguments, device=torch.device(device))
             assert list(prepared.chunks(buckets, 2)) == chunks
             found.append(prepared.round(2, None, False, buckets))
-        finally:
-            setattr(vote_triton, name, before)
     assert bool(found[0][1].any())
     for others in found[1:]:
         assert all(torch.equal(one, other) for one, other in zip(others, found[0], strict=True))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -17,18 +15,17 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import torch
-from benchmarks.chromium import program
 from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
 from scoup.field import NO_THING, FieldInfo
-from scoup.models import CANONICAL_PHRASES
+from scoup.io import load_gaussians
+from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.pictures import Picture, as_picture
 from scoup.query import LanguageField
 from scoup.scene import SH_C0, Camera, Cameras, Gaussians, index_dtype
-from scoup.view.page import PAGE_FOLDER
-from support import things_of, unit
+from support import gaussians_at, things_of, unit
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
@@ -54,18 +51,6 @@ A_THING = 60
 """Gaussians of each thing."""
 PATIENCE = 60_000
 """Milliseconds for a step, on however busy a machine."""
-
-
-def need_browser(page: bool = True) -> None:
-    """Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure."""
-    packages = ("playwright", "starlette", "uvicorn")
-    reasons = [f"{package} is not installed" for package in packages if find_spec(package) is None]
-    if program() is None:
-        reasons.append("there is no Chromium here (apt-get install chromium)")
-    if page and not (PAGE_FOLDER / "viewer.js").is_file():
-        reasons.append("the page is not built: python tools/build_viewer.py")
-    if reasons:
-        (pytest.fail if os.environ.get("SCOUP_TEST_BROWSER") == "required" else pytest.skip)(reasons[0])
 
 
 # ---- The scene
@@ -126,10 +111,7 @@ def field_of_instances() -> LanguageField:
 
 def splat(means: Tensor, scale: float, colors: Tensor, opacity: float = 0.98) -> Gaussians:
     """Round opaque Gaussians of one size."""
-    count = len(means)
-    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
-    sh = ((colors - 0.5) / SH_C0)[:, None]
-    return Gaussians(means, quats, torch.full((count, 3), scale), torch.full((count,), opacity), sh)
+    return replace(gaussians_at(means, scale, opacity), sh=((colors - 0.5) / SH_C0)[:, None])
 
 
 def coded(
@@ -168,8 +150,6 @@ def views(width: int = 160, height: int = 120) -> Cameras:
 
 def saved_field(folder: Path) -> Path:
     """The field of things as a file with its geometry, and ``words.npz`` beside it."""
-    from scoup.models import WordTable
-
     words = folder / "words.npz"
     WordTable.save(words, list(table()), torch.stack(list(table().values())).numpy())
     field = things_field()
@@ -263,6 +243,12 @@ class Visit:
         self.page.get_by_label(name).set_checked(on)
         self.settle()
 
+    def show_exact(self) -> None:
+        """Have the server's picture over the page's own."""
+        self.tab("View")
+        self.page.get_by_role("button", name="Exact picture").click()
+        self.page.locator("#badge", has_text="rendered codes").wait_for()
+
     def remove(self, text: str) -> None:
         self.tab("Answers")
         self.page.get_by_role("button", name=f"Remove {text}").click()
@@ -282,9 +268,7 @@ class Visit:
 
     def picture(self) -> Picture:
         """What is seen of the scene, [H, W, 3]."""
-        found = self.pixels()
-        assert found is not None
-        return found[..., :3]
+        return np.asarray(self.pixels())[..., :3]
 
     def pixels(self, canvas: str = "") -> Picture | None:
         """[H, W, 4] of the scene, or of a canvas over it; None where that is hidden."""
@@ -357,22 +341,21 @@ def patches(picture: Picture) -> dict[str, NDArray[np.float64]]:
     return found
 
 
+def check_saved(path: Path, wanted: Gaussians) -> None:
+    """Compare a file that the page saved, in whatever order, with its Gaussians."""
+    found = load_gaussians(path)
+    order = torch.cdist(wanted.means.double(), found.means.double()).argmin(1)
+    assert order.sort().values.equal(torch.arange(len(found)))
+    tolerances = {"means": (1e-5, 0), "opacities": (3e-3, 0), "scales": (0, 0.02), "sh": (8e-3, 0)}
+    for name, (atol, rtol) in tolerances.items():
+        saved, given = getattr(found, name)[order], getattr(wanted, name)
+        torch.testing.assert_close(saved, given, atol=atol, rtol=rtol)
+
+
 def render(viewed: ViewedField, mask: Tensor | None = None, camera: Camera | None = None) -> Picture:
     """The picture of some of the Gaussians by our own rasteriser, by default from where the page opens."""
     gaussians = viewed.gaussians if mask is None else viewed.gaussians.select(mask)
     return as_picture(raster.render_colors(gaussians, camera or FRONT))
-
-
-def selected_by_votes(
-    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
-) -> Tensor:
-    """[N] what the page is to select, from the field's own relevancy of its Gaussians."""
-    answer = viewed.answers([text])[0]
-    level = answer.level if level is None else level
-    vectors = viewed.question([text])
-    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
-    low, high = answer.spans[level].tolist()
-    return (relevancy - low) / (high - low) > (answer.thresholds[level] if threshold is None else threshold)
 
 
 ABSENT_TOO = "show texts that are not in the scene, too"
@@ -389,67 +372,16 @@ def difference(picture: Picture, wanted: Picture) -> float:
     return float(np.linalg.norm(picture.astype(float) - wanted) / np.linalg.norm(wanted.astype(float)))
 
 
-# ---- What can be read
-
-CONTRASTS = """() => {
-  const dot = Object.assign(document.createElement("canvas"), {width: 1, height: 1});
-  const pen = dot.getContext("2d", {willReadFrequently: true});
-  const parts = (color) => {
-    pen.clearRect(0, 0, 1, 1);
-    pen.fillStyle = color;
-    pen.fillRect(0, 0, 1, 1);
-    const [r, g, b, a] = pen.getImageData(0, 0, 1, 1).data;
-    return [r, g, b, a / 255];
+DRAWS = """() => {
+  window.draws = [];
+  const own = WebGL2RenderingContext.prototype.drawElementsInstanced;
+  WebGL2RenderingContext.prototype.drawElementsInstanced = function (...values) {
+    window.draws.push((values[1] * values[4]) / 6);
+    return own.apply(this, values);
   };
-  const over = (top, under) => [0, 1, 2].map((c) => top[c] * top[3] + under[c] * (1 - top[3])).concat(1);
-  const luminance = (color) => {
-    const [r, g, b] = color.map((v) => (v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
-  const ratio = (a, b) => {
-    const [low, high] = [luminance(a), luminance(b)].sort((x, y) => x - y);
-    return (high + 0.05) / (low + 0.05);
-  };
-  const behind = (element, base) => {
-    const layers = [];
-    for (let at = element; at !== document.body; at = at.parentElement) {
-      layers.unshift(parts(getComputedStyle(at).backgroundColor));
-    }
-    return layers.reduce((under, layer) => over(layer, under), base);
-  };
-  const faint = (element) => {
-    let opacity = 1;
-    for (let at = element; at; at = at.parentElement) opacity *= Number(getComputedStyle(at).opacity);
-    return opacity;
-  };
-  const found = [];
-  const look = (element, text, style) => {
-    const box = element.getBoundingClientRect();
-    if (!text.trim() || box.width < 2 || box.height < 2) return;
-    if (!element.checkVisibility({checkOpacity: true, checkVisibilityCSS: true})) return;
-    const size = parseFloat(style.fontSize);
-    const needed = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700) ? 3 : 4.5;
-    const ink = parts(style.color);
-    ink[3] *= faint(element);
-    // Where something lies half-transparent on the picture, black and white may be under it.
-    const grounds = [0, 255].map((grey) => behind(element, [grey, grey, grey, 1]));
-    const least = Math.min(...grounds.map((under) => ratio(over(ink, under), under)));
-    found.push({text: text.trim().slice(0, 60), tag: element.tagName, id: element.id, ratio: least, needed});
-  };
-  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  while (walker.nextNode()) {
-    const element = walker.currentNode.parentElement;
-    if (["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(element.tagName)) continue;
-    look(element, walker.currentNode.data, getComputedStyle(element));
-  }
-  for (const element of document.querySelectorAll("input, select, textarea")) {
-    if (["checkbox", "radio", "range"].includes(element.type)) continue;
-    if (element.value) look(element, element.value, getComputedStyle(element));
-    else look(element, element.placeholder ?? "", getComputedStyle(element, "::placeholder"));
-  }
-  return found;
 }"""
-"""The contrast of every visible text with what is behind it, as WCAG counts it, and what AA demands."""
+"""Notes how many Gaussians each frame draws."""
+CONTRASTS = Path(__file__).with_name("contrasts.js").read_text()
 
 
 def opened(viewed: ViewedField, **options: Any) -> Viewer:

@@ -14,20 +14,21 @@ import torch
 from browser_support import (
     A_THING,
     ALIKE,
+    DRAWS,
     THINGS,
     Visit,
     coded,
     difference,
+    render,
     served,
     splat,
     table,
     things_field,
     visiting,
 )
-from view_samples import unpacked
+from view_samples import selected_by_votes, unpacked
 
 from scoup.base import InputError
-from scoup.pictures import Picture
 from scoup.query import LanguageField
 from scoup.scene import Camera, Cameras
 from scoup.view import parts
@@ -48,30 +49,30 @@ def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "PART_GAUSSIANS", 200)
 
 
-@pytest.fixture(scope="module")
-def whole(browser: Browser) -> Picture:
-    """The kettle in a page that got the scene in one piece."""
-    viewed = ViewedField(things_field().with_encoder(table()))
-    with served(browser, viewed) as visit:
-        assert visit.state()["gaussians"] == len(viewed.field)
-        visit.ask("kettle")
-        return visit.picture()
-
-
-def whole_scene(visit: Visit, whole: Picture, count: int) -> None:
+def whole_scene(visit: Visit, viewed: ViewedField) -> None:
     """Check that the page shows all parts."""
     visit.page.evaluate("window.scoupViewer.whole")
     visit.settle()
-    assert visit.state()["gaussians"] == visit.state()["drawing"] == count
+    assert visit.state()["gaussians"] == visit.state()["drawing"] == len(viewed.field)
     assert "more are loading" not in visit.page.inner_text("#facts")
     visit.ask("kettle")
-    assert difference(visit.picture(), whole) < ALIKE
+    visit.choose("Only the selection")
+    assert difference(visit.picture(), render(viewed, selected_by_votes(viewed, "kettle"))) < ALIKE
+
+
+def asked(visit: Visit, mark: str) -> list[str]:
+    """The ends of the addresses that the page asked for."""
+    return [address.rsplit("/", 1)[1] for address in visit.requests if mark in address]
 
 
 @pytest.mark.usefixtures("in_parts")
-def test_a_large_scene_is_seen_coarsely_first(browser: Browser, whole: Picture, monkeypatch) -> None:
+def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch, tmp_path: Path) -> None:
     viewed = ViewedField(things_field().with_encoder(table()))
     assert viewed.n_parts > 1
+    export_page(viewed, tmp_path / "page", split=True)
+    with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
+        whole_scene(visit, viewed)
+        assert sorted(asked(visit, "part_")) == [f"part_{number}.js" for number in range(viewed.n_parts)]
     held, busy = threading.Event(), [True]
     part = viewed.part
 
@@ -87,31 +88,15 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, whole: Picture, 
         assert 0 < visit.state()["gaussians"] <= 60
         assert "more are loading" in visit.page.inner_text("#facts")
         held.set()
-        whole_scene(visit, whole, len(viewed.field))
+        whole_scene(visit, viewed)
         assert len(visit.problems) == 1  # the server was busy, and asked again
         assert "503" in visit.problems.pop()
 
 
-@pytest.mark.usefixtures("in_parts")
-def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
-    generator = torch.Generator().manual_seed(3)
-    means = torch.rand(400, 3, generator=generator)
-    means[200:, 0] += 30  # behind the others on the curve
-    gaussians = splat(means, 0.03, torch.ones(400, 3))
-    main = torch.zeros(400, 3, dtype=torch.int64)
-    for side, wanted in ((0.5, ["0-of-2", "1-of-2"]), (30.5, ["1-of-2", "0-of-2"])):
-        camera = Camera.look_at((side, -4, 0.5), (side, 0, 0.5), "near.png", 400, 300, 400)
-        viewed = ViewedField(coded(gaussians, main, generator, Cameras([camera])).with_encoder(table()))
-        with served(browser, viewed) as visit:
-            visit.page.evaluate("window.scoupViewer.whole")
-            asked = [address.rsplit("/", 1)[1] for address in visit.requests if "/part/" in address]
-            assert asked == wanted
-
-
-def damaged(
+def break_parts(
     viewed: ViewedField, monkeypatch: pytest.MonkeyPatch, when: Callable[[int, bool], bool]
-) -> ViewedField:
-    """With some parts that cannot be had."""
+) -> None:
+    """Make some parts unavailable."""
     own = viewed.part
 
     def part(number: int, whole: bool) -> bytes:
@@ -120,50 +105,27 @@ def damaged(
         return own(number, whole=whole)
 
     monkeypatch.setattr(viewed, "part", part)
-    return viewed
 
 
 @pytest.mark.usefixtures("in_parts")
 def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewed = damaged(ViewedField(things_field().with_encoder(table())), monkeypatch, lambda *_: True)
+    viewed = ViewedField(things_field().with_encoder(table()))
+    break_parts(viewed, monkeypatch, lambda *_: True)
     with served(browser, viewed) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         said = visit.page.inner_text("#message")
         assert said == "A part of the scene is missing: scene.scoup: damaged"
         assert 0 < visit.state()["gaussians"] <= 60
         assert "400" in visit.problems.pop()
-    # What cannot be had whole stays merged.
-    viewed = ViewedField(four_places().with_encoder(table()), most=300)
-    merged = sum(len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4))
-    viewed = damaged(viewed, monkeypatch, lambda number, whole: whole and number == 0)
-    with served(browser, viewed) as visit:
-        fly(visit, "first.png")
-        assert visit.page.inner_text("#message") == "A part of the scene stays merged: scene.scoup: damaged"
-        assert visit.state()["gaussians"] == merged
-        for name in ("last.png", "first.png"):
-            fly(visit, name)
-            assert visit.state()["gaussians"] > merged
-        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole"]
-        assert "400" in visit.problems.pop()
-
-
-@pytest.mark.usefixtures("in_parts")
-def test_an_exported_page_loads_its_parts(browser: Browser, whole: Picture, tmp_path: Path) -> None:
-    viewed = ViewedField(things_field().with_encoder(table()))
-    export_page(viewed, tmp_path / "page", split=True)
-    with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
-        whole_scene(visit, whole, len(viewed.field))
-        asked = [address.rsplit("/", 1)[1] for address in visit.requests if "part_" in address]
-        assert sorted(asked) == [f"part_{number}.js" for number in range(viewed.n_parts)]
 
 
 def four_places() -> LanguageField:
-    """Four parts far from each other, and cameras near the first, near the last, and far from all."""
+    """Four parts far from each other, and cameras near some, and far from all."""
     generator = torch.Generator().manual_seed(3)
     means = torch.rand(800, 3, generator=generator)
     means[:, 0] += 30 * (torch.arange(800) // 200)
     gaussians = splat(means, 0.03, torch.rand(800, 3, generator=generator))
-    places = (("first.png", 0.5, 2), ("last.png", 90.5, 2), ("far.png", 45.5, 400))
+    places = (("last.png", 90.5, 2), ("first.png", 0.5, 2), ("second.png", 30.5, 2), ("far.png", 45.5, 400))
     cameras = [
         Camera.look_at((x, -distance, 0.5), (x, 0, 0.5), name, 400, 300, 400) for name, x, distance in places
     ]
@@ -176,30 +138,37 @@ def fly(visit: Visit, name: str) -> None:
     visit.settle()
 
 
-def asked_whole(visit: Visit) -> list[str]:
-    return [address.rsplit("/", 1)[1] for address in visit.requests if "?whole" in address]
-
-
 @pytest.mark.usefixtures("in_parts")
-def test_what_is_near_is_shown_whole(browser: Browser) -> None:
+def test_what_is_near_comes_first_and_is_shown_whole(browser: Browser, monkeypatch) -> None:
     """Of merged parts, as many as there is room for, and others where the camera goes."""
     field, pictures = four_places(), {}
     with served(browser, ViewedField(field.with_encoder(table()))) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
+        assert asked(visit, "/part/")[0] == "3-of-4"  # what is seen
         for name in ("first.png", "last.png"):
             fly(visit, name)
             pictures[name] = visit.picture()
     viewed = ViewedField(field.with_encoder(table()), most=300)
     merged = [len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4)]
     assert max(merged) <= 75
+    break_parts(viewed, monkeypatch, lambda number, whole: whole and number == 1)
+    flights = [
+        ("first.png", 0), ("last.png", 3), ("far.png", 3),
+        ("second.png", 3),  # which cannot be had whole, and stays merged
+        ("first.png", 0), ("second.png", 0),
+    ]  # fmt: skip
     with served(browser, viewed) as visit:
-        for name, near in (("first.png", 0), ("last.png", 3), ("far.png", 3), ("first.png", 0)):
+        for name, whole in flights:
             fly(visit, name)
-            count = sum(merged) - merged[near] + 200
-            assert visit.state()["drawing"] == visit.state()["gaussians"] == count
+            count = sum(merged) - merged[whole] + 200
+            assert visit.state()["drawing"] == visit.state()["gaussians"] == count, name
             if name in pictures:
                 assert difference(visit.picture(), pictures[name]) < ALIKE
-        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole", "0-of-4?whole"]
+            if name == "second.png":
+                said = visit.page.inner_text("#message")
+                assert said == "A part of the scene stays merged: scene.scoup: damaged"
+        assert asked(visit, "?whole") == [f"{number}-of-4?whole" for number in (3, 0, 3, 1, 0)]
+        assert "400" in visit.problems.pop()
 
 
 def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:
@@ -222,15 +191,6 @@ def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> No
             visit.remove(text)
 
 
-DRAWS = """() => {
-  window.draws = [];
-  const own = WebGL2RenderingContext.prototype.drawElementsInstanced;
-  WebGL2RenderingContext.prototype.drawElementsInstanced = function (...values) {
-    window.draws.push((values[1] * values[4]) / 6);
-    return own.apply(this, values);
-  };
-}"""
-"""Notes how many Gaussians each frame draws."""
 UNFINISHED = """() => {
   const own = WebGL2RenderingContext.prototype.getSyncParameter;
   WebGL2RenderingContext.prototype.getSyncParameter = function (...values) {

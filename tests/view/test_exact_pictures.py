@@ -17,7 +17,7 @@ from scoup.view.exact import LARGEST_SIDE, PictureMode, what_is_at
 from scoup.view.viewed_field import ViewedField
 from support import make_camera
 
-BLUE, ORANGE = (64.0, 184.0, 245.0), (245.0, 158.0, 18.0)
+BLUE = (64.0, 184.0, 245.0)
 OF_TEXTS: tuple[PictureMode, ...] = ("heat", "mask")
 
 
@@ -28,8 +28,7 @@ def viewed() -> ViewedField:
 
 @pytest.fixture(scope="module")
 def camera(viewed: ViewedField) -> Camera:
-    assert viewed.field.cameras is not None
-    return viewed.field.cameras[1]
+    return viewed.field.camera(1)
 
 
 def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> None:
@@ -42,39 +41,28 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
         heat, mask = (viewed.picture(camera, mode, ["thing 3"], [BLUE], 0.6, level) for mode in OF_TEXTS)
         assert np.array_equal(heat, heat_overlay(answer.heat, rgb, opacity=0.6))
         assert np.array_equal(mask, texts_overlay([answer.heat], [answer.mask], rgb, [BLUE], 0.6))
-    texts, colors = ["thing 3", "thing 5", "thing 1"], [BLUE, ORANGE, (90.0, 220.0, 115.0)]
+    texts, colors = ["thing 3", "thing 5", "thing 1"], [BLUE, (245.0, 158.0, 18.0), (90.0, 220.0, 115.0)]
     answers = at_camera.answer(field.question(texts))
     heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
     for mode in OF_TEXTS:
         shown = viewed.picture(camera, mode, texts, colors, 0.8)
         assert np.array_equal(shown, texts_overlay(heats, masks, rgb, colors, 0.8, mode == "heat"))
         assert not np.array_equal(shown, viewed.picture(camera, mode, texts[:2], colors[:2], 0.8))
-    pairs = [
-        [
-            viewed.picture(camera, "mask", ["thing 3"], [BLUE], level=0, threshold=threshold, always=True)
-            for threshold in (0.0, 0.9)
-        ],
-        [viewed.picture(camera, "codes", level=level) for level in (0, 1)],
-    ]
-    for one, other in pairs:
+    masks = [viewed.picture(camera, "mask", ["thing 3"], [BLUE], 1, 0, each, True) for each in (0.0, 0.9)]
+    for one, other in (masks, [viewed.picture(camera, "codes", level=level) for level in (0, 1)]):
         assert one.shape == (camera.height, camera.width, 3)
         assert not np.array_equal(one, other)
-
-
-def test_a_threshold_of_ones_own_leaves_the_level(viewed: ViewedField, camera: Camera) -> None:
+    # A threshold of one's own leaves the level.
     own, by_peak = (
         [answer.level for answer in viewed.field.answer(viewed.question(WORDS, True, threshold=threshold))]
         for threshold in (None, 0.3)
     )
-    texts = [text for text, one, other in zip(WORDS, own, by_peak, strict=True) if one != other][:2]
-    assert texts  # whose level would be another one
-    for text in texts:
-        level = viewed.field.level_index(own[WORDS.index(text)])
-        of_level, shown = (
-            viewed.picture(camera, "heat", [text], [BLUE], level=number, threshold=0.3, always=True)
-            for number in (level, None)
-        )
-        assert np.array_equal(shown, of_level)
+    row = next(row for row, level in enumerate(own) if level != by_peak[row])
+    of_level, shown = (
+        viewed.picture(camera, "heat", [WORDS[row]], [BLUE], 1, level, 0.3, True)
+        for level in (viewed.field.level_index(own[row]), None)
+    )
+    assert np.array_equal(shown, of_level)
 
 
 def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) -> None:
@@ -116,18 +104,18 @@ def test_the_position_is_where_half_of_the_light_is_stopped() -> None:
     quats, opacities = torch.eye(4)[[0] * 4], torch.tensor([0.3, 0.99, 0.99, 0.99])
     field._gaussians = Gaussians(means, quats, scales, opacities, torch.zeros(4, 1, 3))
     camera = make_camera(41, 31, 40.0)
-    confidence = torch.ones(4, 2)
-    found = what_is_at(field.at(camera), confidence, (20, 15), None)
+
+    def at(*pixel: int) -> dict[str, Any]:
+        return what_is_at(field.at(camera), torch.ones(4, 2), (pixel[0], pixel[1]), None)
+
+    found = at(20, 15)
     assert found["position"] == pytest.approx([0.0, 0.0, 5.0], abs=1e-6)
     assert found["distance"] == pytest.approx(5.0, abs=1e-6)
     assert all(not level["words"] for level in found["levels"])
-    beside = what_is_at(field.at(camera), confidence, (40, 15), None)
-    assert beside["position"][2] == pytest.approx(4.0, abs=1e-6)
-    assert beside["position"][0] == pytest.approx(4.0 * 20 / 40.0, abs=1e-6)
-    nothing = what_is_at(field.at(camera), confidence, (0, 0), None)
-    assert nothing == {"position": None, "distance": None, "levels": []}
+    assert at(40, 15)["position"][::2] == pytest.approx([4.0 * 20 / 40.0, 4.0], abs=1e-6)
+    assert at(0, 0) == {"position": None, "distance": None, "levels": []}
     with refuses():
-        what_is_at(field.at(camera), confidence, (41, 0), None)
+        at(41, 0)
 
 
 def test_a_picture_does_not_depend_on_what_was_asked_before(viewed: ViewedField, camera: Camera) -> None:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from PIL import Image
 from view_samples import PAGE, WORDS, random_field, table, unpacked, viewed_field
@@ -34,48 +33,39 @@ def viewed() -> ViewedField:
     return viewed_field()
 
 
-def data_of(text: str, name: str) -> object:
-    """What a script assigns to a name."""
-    found = re.search(rf"{re.escape(name)} = (.*);\n", text)
+def data_of(page: Path, name: str = "window.scoupData") -> Any:
+    """What a script of a page assigns to a name."""
+    found = re.search(rf"{re.escape(name)} = (.*);\n", page.read_text())
     assert found is not None
     return json.loads(found[1])
 
 
-def page_data(page: Path) -> dict[str, Any]:
-    """What a page of one file holds."""
-    data = data_of(page.read_text(), "window.scoupData")
-    assert isinstance(data, dict)
-    return data
-
-
-def test_one_file_holds_everything(viewed: ViewedField, tmp_path: Path) -> None:
+def test_one_file_holds_everything(viewed: ViewedField, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(export, "MOST_THUMBNAILS", 2)
     out = tmp_path / "scene.html"
     report = export_page(viewed, out)
     text = out.read_text()
     export_page(viewed_field(), tmp_path / "again.html")  # an equal field gives the same bytes
     assert (tmp_path / "again.html").read_bytes() == out.read_bytes()
-    assert report.bytes == out.stat().st_size
-    assert report.words == len(WORDS)
-    data = page_data(out)
+    assert (report.bytes, report.words) == (out.stat().st_size, len(WORDS))
+    data = data_of(out)
     scene = base64.b64decode(data["scene"])
-    tensors, metadata = unpacked(scene)
     assert len(scene) == report.scene_bytes
-    assert metadata["n_gaussians"] == 60
-    assert tensors["opacities"].shape == (60,)
-    words, names = unpacked(base64.b64decode(data["words"]))
-    assert names["names"] == list(WORDS)
-    assert words["scores"].dtype == np.float16
-    pictures = [Image.open(io.BytesIO(base64.b64decode(each))) for each in data["thumbnails"]]
-    assert [picture.size for picture in pictures] == [(160, 120)] * 3
+    assert unpacked(scene)[1]["n_gaussians"] == 60
+    assert unpacked(base64.b64decode(data["words"]))[1]["names"] == list(WORDS)
+    first, none, last = data["thumbnails"]  # of three views, two have a picture
+    assert none is None
+    for each in (first, last):
+        assert Image.open(io.BytesIO(base64.b64decode(each))).size == (160, 120)
     program = re.search(r'window.scoupProgram = "([^"]*)"', text)
     assert program is not None
     assert gzip.decompress(base64.b64decode(program[1])) == PAGE.program
     assert PAGE.style in text
     assert "three: MIT - - as it is" in text  # within a comment
-    settings = json.loads(text.split('type="application/json">')[1].split("</script>")[0])
-    assert settings["mode"] == "exported"
-    assert "viewer.js" not in text
-    assert not re.search(r"(src|href)=", text)
+    assert not re.search(r"(src|href)=|viewer\.js", text)
+    html = PAGE.with_settings({"name": "</script><script>alert(1)</script>"})
+    assert "alert" in html
+    assert "<script>alert" not in html
 
 
 def assert_holds(folder: Path, report: ExportReport, *others: str) -> None:
@@ -85,42 +75,34 @@ def assert_holds(folder: Path, report: ExportReport, *others: str) -> None:
     assert report.bytes == sum(files.values())
 
 
-def test_a_folder_holds_the_same(viewed: ViewedField, tmp_path: Path) -> None:
-    out = tmp_path / "page"
-    report = export_page(viewed, out, split=True)
-    assert_holds(out, report)
-    index = (out / "index.html").read_text()
-    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js", "things.js"]
-    scene = data_of((out / "scene.js").read_text(), "window.scoupData.scene")
-    assert unpacked(base64.b64decode(str(scene)))[1]["n_gaussians"] == 60
-    with pytest.raises(OutputExistsError):
-        export_page(viewed, out, split=True)
-
-
-def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_holds_the_same_and_a_large_scene_in_parts(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("scoup.view.parts.COARSE_GAUSSIANS", 20)
     monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 30)
     viewed = viewed_field()
-    wanted = [viewed.part(number) for number in range(2)]
     folder = tmp_path / "page"
     report = export_page(viewed, folder, split=True)
     assert_holds(folder, report, "part_0.js", "part_1.js")
     assert "part_0" not in (folder / "index.html").read_text()  # which loads it when the first is shown
     export_page(viewed, tmp_path / "page.html")
-    data = page_data(tmp_path / "page.html")
+    data = data_of(tmp_path / "page.html")
     scene = base64.b64decode(data["scene"])
     packed = [base64.b64decode(part) for part in data["parts"]]
+    wanted = [viewed.part(number) for number in range(2)]
     assert [gzip.decompress(part) for part in packed] == [gzip.decompress(part) for part in wanted]
     assert report.scene_bytes == len(scene) + sum(map(len, packed))
-    assert len(unpacked(scene)[1]["parts"]) == 2
     for number, part in enumerate(data["parts"]):
-        script = (folder / f"part_{number}.js").read_text()
-        assert data_of(script, f"window.scoupData.parts[{number}]") == part
+        assert data_of(folder / f"part_{number}.js", f"window.scoupData.parts[{number}]") == part
     (folder / "party.js").touch()  # of somebody else
-    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 60)
-    assert_holds(
-        folder, export_page(viewed_field(), folder, split=True, overwrite=True), "part_0.js", "party.js"
-    )
+    with pytest.raises(OutputExistsError):
+        export_page(viewed, folder, split=True)
+    for name, kept in (("PART_GAUSSIANS", ["part_0.js"]), ("COARSE_GAUSSIANS", [])):  # one part, then none
+        monkeypatch.setattr(f"scoup.view.parts.{name}", 60)
+        report = export_page(viewed_field(), folder, split=True, overwrite=True)
+        assert_holds(folder, report, "party.js", *kept)
+    index = (folder / "index.html").read_text()
+    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js", "things.js"]
+    scene = data_of(folder / "scene.js", "window.scoupData.scene")
+    assert unpacked(base64.b64decode(scene))[1]["n_gaussians"] == 60
 
 
 def test_nothing_is_overwritten_unasked_or_half_written(
@@ -146,41 +128,25 @@ def test_nothing_is_overwritten_unasked_or_half_written(
     assert out.read_text() != "mine"
 
 
-def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
-    field = random_field(cameras=False)
+def test_pages_tell_no_folder_of_this_machine(tmp_path: Path) -> None:
+    field = random_field(cameras=False)  # and without words
     field.info = replace(field.info, words=tmp_path / "gone.npz")
     report = export_page(ViewedField(field), tmp_path / "scene.html")
-    data = page_data(tmp_path / "scene.html")
+    data = data_of(tmp_path / "scene.html")
     assert (report.words, data["words"], data["thumbnails"]) == (0, "", [])
     metadata = unpacked(base64.b64decode(data["scene"]))[1]
     assert metadata["words_problem"] == "this page was exported without words"
     assert str(tmp_path) not in json.dumps(metadata)
-
-
-def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     field = random_field()
     field.info = replace(field.info, embedding_model=str(tmp_path / "clip"), words=tmp_path / "words.npz")
     field.save(tmp_path / "secret folder.scoup")
     viewed = ViewedField(field.with_encoder(table()))
-    export_page(viewed, tmp_path / "scene.html")
-    text = (tmp_path / "scene.html").read_text()
-    assert str(tmp_path) not in text
-    data = page_data(tmp_path / "scene.html")
+    export_page(viewed, tmp_path / "scene.html", overwrite=True)
+    assert str(tmp_path) not in (tmp_path / "scene.html").read_text()
+    data = data_of(tmp_path / "scene.html")
     assert unpacked(base64.b64decode(data["scene"]))[1]["embedding_model"] == "clip"
     assert viewed.settings("live")["field"] == str(tmp_path / "secret folder.scoup")
     assert viewed.settings("exported")["open"] == "scoup view 'secret folder.scoup'"
-
-
-def test_settings_cannot_end_their_script() -> None:
-    html = PAGE.with_settings({"name": "</script><script>alert(1)</script>"})
-    assert "alert" in html
-    assert "<script>alert" not in html
-
-
-def test_only_some_views_of_many_have_a_picture(viewed: ViewedField, monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(export, "MOST_THUMBNAILS", 2)
-    export_page(viewed, tmp_path / "scene.html")
-    assert [each is None for each in page_data(tmp_path / "scene.html")["thumbnails"]] == [False, True, False]
 
 
 def test_a_page_that_was_not_built_is_named_with_the_remedy(tmp_path: Path) -> None:

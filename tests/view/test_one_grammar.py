@@ -95,18 +95,7 @@ def test_a_phrase_gives_the_same_things_in_five_places(text: str, path: Path, sa
     assert {thing["thing"] for thing in agents["things"]} == found
 
 
-def test_left_and_right_are_seen_from_one_camera_which_answers_name(path: Path, said) -> None:
-    text = "mug left of the laptop"
-    assert said["query"][text]["seen_from"] == FRONT.name
-    assert f"as seen from {FRONT.name}" in said["page"][text]["remark"]
-    assert FRONT.name in said["agents"][text]["directions"]
-    assert "seen_from" not in said["query"]["mugs on the table"]
-    options = ("--pictures", "none", "--seen-from", "back", "--out", path.parent / "back")
-    other = run_json("query", path, text, *options)
-    assert (other["places"][0]["things"], other["places"][0]["seen_from"]) == ([RIGHT], "back.png")
-
-
-def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
+def test_answers_say_what_was_found_and_from_where(path: Path, said, tmp_path: Path) -> None:
     text = "laptop right of the lamp"
     found = "found laptop: 1, lamp: 1, but none that is so, as seen from front.png"
     assert found in run("select", path, text, "--out", tmp_path / "a.ply")[2]
@@ -118,3 +107,12 @@ def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
     without = remarks[f"(mug and laptop) and not {ABSENT}"]
     assert without == "found mug: 2, laptop: 1, but none that is so", "what must not be there is not missed"
     assert remarks[f"mug left of the {ABSENT}"].startswith(f"{ABSENT}: not in this scene")
+    # Left and right are seen from one camera, which answers name.
+    text = "mug left of the laptop"
+    assert said["query"][text]["seen_from"] == FRONT.name
+    assert f"as seen from {FRONT.name}" in remarks[text]
+    assert FRONT.name in said["agents"][text]["directions"]
+    assert "seen_from" not in said["query"]["mugs on the table"]
+    options = ("--pictures", "none", "--seen-from", "back", "--out", tmp_path / "back")
+    other = run_json("query", path, text, *options)["places"][0]
+    assert (other["things"], other["seen_from"]) == ([RIGHT], "back.png")

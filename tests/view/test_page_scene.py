@@ -11,6 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from view_samples import (
+    DIM,
     field_with_things,
     random_field,
     shown_relevancy,
@@ -21,16 +22,19 @@ from view_samples import (
 )
 
 from messages import refuses
+from scoup.field import relevancy
+from scoup.field.code_sums import code_scores
 from scoup.scene import SH_C0, Camera, Cameras
 from scoup.view.decimation import decimate
 from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings
+from scoup.view.unit_codes import UnitCodes, atom_scores
 from scoup.view.viewed_field import ViewedField
-from support import KINDS, examples, random_gaussians
+from support import KINDS, examples, random_gaussians, unit
 
 
-def test_the_splat_comes_through_within_its_rounding() -> None:
-    viewed = viewed_field(count=200)
+def test_the_splat_and_its_codes_come_through_within_their_rounding() -> None:
+    viewed = viewed_field(count=200, k=5)
     tensors, metadata = unpacked(viewed.scene())
     rows = decimate(viewed.gaussians).rows
     given, shown = viewed.gaussians.select(rows), splat_of(tensors, metadata)
@@ -45,12 +49,7 @@ def test_the_splat_comes_through_within_its_rounding() -> None:
     assert (shown.opacities - given.opacities).abs().max() < 0.51 / 255
     colors = (SH_C0 * given.sh[:, 0] + 0.5).clamp(0, 1)
     assert ((SH_C0 * shown.sh[:, 0] + 0.5) - colors).abs().max() < 0.51 / 255
-
-
-def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
-    viewed = viewed_field(count=150, k=5)
-    tensors, metadata = unpacked(viewed.scene())
-    rows = decimate(viewed.gaussians).rows
+    # Codes and scores give the relevancy of the field.
     scores = viewed.answers(["thing 3"])[0].scores.numpy()
     found = [shown_relevancy(tensors, metadata, tensors["canonical"], scores, level) for level in (0, 1)]
     texts = viewed.question(["thing 3"])
@@ -58,8 +57,13 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     assert np.abs(np.stack(found) - wanted.numpy()).max() < 2e-3
     assert tensors["canonical"].shape == (2, 5, 9)  # four phrases, and the mean of everyday words
     colors = np.stack([tensors["code_colors"][level][:, tensors["code_indices"][level]] for level in (0, 1)])
-    assert colors.shape == (2, 3, 5, 150)
+    assert colors.shape == (2, 3, 5, 200)
     assert np.isfinite(colors).all()
+    # A few large Gaussians keep their size.
+    viewed = viewed_field(count=3000)
+    viewed.gaussians.scales[7] = torch.tensor([50.0, 40.0, 0.1])
+    tensors, metadata = unpacked(viewed.scene())
+    assert float(splat_of(tensors, metadata).scales.max()) == pytest.approx(50, rel=0.05)
 
 
 def test_owners_are_those_of_the_gaussians_shown() -> None:
@@ -96,27 +100,11 @@ def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: in
     assert 0 < metadata["radius"] < math.inf
 
 
-def test_a_few_large_gaussians_keep_their_size() -> None:
-    viewed = viewed_field(count=3000)
-    viewed.gaussians.scales[7] = torch.tensor([50.0, 40.0, 0.1])
-    tensors, metadata = unpacked(viewed.scene())
-    assert float(splat_of(tensors, metadata).scales.max()) == pytest.approx(50, rel=0.05)
-
-
 def cameras_of(eyes: Sequence[tuple[float, ...]], targets: Sequence[tuple[float, ...]]) -> Cameras:
     places = enumerate(zip(eyes, targets, strict=True))
     return Cameras(
         Camera.look_at(eye, target, f"c{number}", 40, 30, 40.0) for number, (eye, target) in places
     )
-
-
-def test_cameras_that_turn_on_the_spot_and_a_single_gaussian_have_a_scale() -> None:
-    gaussians = random_gaussians(200, 0)
-    eyes = [(0.001 * number, 0.0, 0.0) for number in range(4)]
-    cameras = cameras_of(eyes, [(1.0, 0.1, 5.0), (-5.0, 0.0, 1.0), (5.0, 0.0, 1.0), (0.0, 1.0, -5.0)])
-    assert surroundings(gaussians, cameras)[2] > 0.05
-    single = gaussians.select(slice(0, 1))
-    assert surroundings(single, None)[2] >= float(single.scales.max())
 
 
 def test_packing_gives_the_same_bytes_and_bears_one_point() -> None:
@@ -138,6 +126,13 @@ def test_the_cameras_say_what_is_up_and_where_to_look() -> None:
     assert 3 < radius < 5
     assert np.isfinite(surroundings(random_gaussians(50, 0), Cameras([cameras[0]]))[1]).all()
     assert np.isfinite(surroundings(random_gaussians(0, 0), None)[2])
+    # Cameras that turn on the spot, and a single Gaussian, have a scale.
+    gaussians = random_gaussians(200, 0)
+    eyes = [(0.001 * number, 0.0, 0.0) for number in range(4)]
+    cameras = cameras_of(eyes, [(1.0, 0.1, 5.0), (-5.0, 0.0, 1.0), (5.0, 0.0, 1.0), (0.0, 1.0, -5.0)])
+    assert surroundings(gaussians, cameras)[2] > 0.05
+    single = gaussians.select(slice(0, 1))
+    assert surroundings(single, None)[2] >= float(single.scales.max())
 
 
 def test_a_field_whose_texts_cannot_be_encoded_is_shown_all_the_same() -> None:
@@ -149,3 +144,37 @@ def test_a_field_whose_texts_cannot_be_encoded_is_shown_all_the_same() -> None:
     assert viewed.vocabulary() is None
     with refuses():
         viewed.answers(["thing 1"])
+
+
+# ---- Codes of unit norm: sums of a few products are cosines
+
+
+@settings(max_examples=examples(30), deadline=None)
+@given(st.integers(0, 40), st.integers(0, 2**31), st.sampled_from([1, 9, 300]), st.sampled_from([1, 3, 4, 9]))
+def test_cosines_are_those_of_the_field(count: int, seed: int, n_atoms: int, k: int) -> None:
+    field = random_field(count, seed, n_atoms, k)
+    queries = unit(torch.randn(3, DIM, generator=torch.Generator().manual_seed(seed)))
+    canonical = unit(torch.randn(2, DIM, generator=torch.Generator().manual_seed(seed + 1)))
+    codes = UnitCodes.of(field)
+    of_queries, of_canonical = (
+        code_scores(codes.indices, codes.weights, atom_scores(field, vectors)).permute(1, 2, 0)
+        for vectors in (queries, canonical)
+    )
+    found = relevancy(of_queries, of_canonical)
+    torch.testing.assert_close(found, field.gaussian_relevancy(queries, canonical), atol=2e-5, rtol=0)
+
+
+def test_confidence_is_one_where_all_regions_agree_and_less_the_more_they_differ() -> None:
+    field = random_field(3, k=2, n_atoms=4)
+    field.codebook[0, :3] = torch.eye(DIM)[:3]
+    field.codebook[0, 1] = unit(torch.eye(DIM)[0] + 0.2 * torch.eye(DIM)[1])
+    field.code_indices[:, 0] = torch.tensor([[0, 3], [0, 1], [0, 2]], dtype=torch.uint8)
+    field.code_weights[:, 0] = torch.tensor([[1.0, 0.0], [0.5, 0.5], [0.5, 0.5]]).half()
+    confidence = UnitCodes.of(field).confidence[:, 0]
+    assert confidence[0] == 1
+    assert 0.99 < float(confidence[1]) < 1
+    assert abs(float(confidence[2]) - 0.5**0.5) < 1e-3  # two that are at right angles
+    field.code_weights[0] = 0
+    nothing = UnitCodes.of(field)
+    assert nothing.confidence[0].tolist() == [0, 0]
+    assert not nothing.weights[0].any()

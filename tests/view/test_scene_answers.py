@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
+from view_samples import (
+    DIM,
+    WORDS,
+    field_with_things,
+    random_field,
+    selected_by_votes,
+    table,
+    unpacked,
+    viewed_field,
+)
 
 from messages import refuses
 from scoup.base import UnknownNameError
@@ -35,13 +44,10 @@ def viewed() -> ViewedField:
     return viewed_field(count=300)
 
 
-def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: float) -> torch.Tensor:
-    """What the page's shader selects."""
-    texts = viewed.question([answer.text])
-    relevancy = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
-    low, high = answer.spans[level].tolist()
-    rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
-    return (rescaled > threshold) & viewed.field.coded_levels()[level]
+@pytest.fixture(scope="module")
+def of_things() -> ViewedField:
+    """A field with things, which contains some words and not others."""
+    return ViewedField(field_with_things().with_encoder(table()))
 
 
 def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
@@ -50,84 +56,69 @@ def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
     return {name: record[name] for name in VERDICT}
 
 
-def of_select(viewed: ViewedField, text: str, level: int | None = None, always: bool = True) -> Answer:
-    """What `scoup select` answers."""
-    return next(iter(each_answer(viewed.field, viewed.question([text], always=always, level=level))))
+def of_select(viewed: ViewedField, text: str, level: int | None = None) -> Answer:
+    """What `scoup select --always` answers."""
+    return next(iter(each_answer(viewed.field, viewed.question([text], always=True, level=level))))
 
 
-def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: ViewedField) -> None:
+def test_levels_thresholds_and_gaussians_are_those_of_select(viewed: ViewedField) -> None:
     for answer in viewed.answers(WORDS[:6]):
-        wanted = of_select(viewed, answer.text, always=False)
-        assert viewed.field.levels[answer.level] == wanted.level
-        assert answer.thresholds[answer.level] == pytest.approx(wanted.threshold)
-        assert verdict(answer) == verdict(wanted)
         for level in (None, 0, 1):
-            anyway, own = of_select(viewed, answer.text, level), answer.level if level is None else level
-            assert anyway.level == viewed.field.levels[own]
-            assert anyway.threshold == pytest.approx(float(answer.thresholds[own]))
-            shown = selected(viewed, answer, own, float(answer.thresholds[own]))
-            assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
-
-
-@pytest.fixture(scope="module")
-def of_things() -> ViewedField:
-    """A field with things, which contains some words and not others."""
-    return ViewedField(field_with_things().with_encoder(table()))
-
-
-def members(viewed: ViewedField, things: list[int] | None) -> torch.Tensor:
-    """What the page selects by things, whatever their level."""
-    assert viewed.field.thing_table is not None
-    assert things is not None
-    return torch.isin(viewed.field.thing_table.owners, torch.tensor(things)).any(1)
-
-
-def test_an_expression_is_present_where_the_page_has_things_to_draw(of_things: ViewedField) -> None:
-    for text, things in (("thing 7 and thing 1", []), ("thing 7 and not thing 1", [7])):
-        answer = of_things.answers([text])[0]
-        assert (answer.verdict["present"], answer.chosen_things) == (bool(things), things)
+            wanted, own = of_select(viewed, answer.text, level), answer.level if level is None else level
+            assert wanted.level == viewed.field.levels[own]
+            assert wanted.threshold == pytest.approx(float(answer.thresholds[own]))
+            shown = selected_by_votes(viewed, answer.text, level)
+            assert int((shown != wanted.mask).sum()) <= 1  # one on the threshold, by rounding
+            saved, rest = (
+                viewed.selection([answer.text], level, rest=rest, always=True) for rest in (False, True)
+            )
+            assert (len(saved), len(rest)) == (int(wanted.mask.sum()), int((~wanted.mask).sum()))
+    # A threshold alone leaves the level that answers.
+    fixed = viewed.selection(["thing 2"], None, 0.3, always=True)
+    assert abs(len(fixed) - int(selected_by_votes(viewed, "thing 2", None, 0.3).sum())) <= 1
+    with refuses():
+        viewed.selection(["thing 2"], None, 1.0, always=True)
 
 
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
-    for answer in of_things.answers(WORDS):
+    things = of_things.field.thing_table
+    assert things is not None
+    for answer in of_things.answers(WORDS[::2]):
         for level, chosen in [(None, answer.chosen_things), *enumerate(answer.things)]:
             wanted = of_select(of_things, answer.text, level)
             assert chosen == list(wanted.things)
-            assert torch.equal(members(of_things, chosen), wanted.mask)
+            assert torch.equal(torch.isin(things.owners, torch.tensor(chosen)).any(1), wanted.mask)
     saved = of_things.selection(["thing 1"], 0, always=True)
     assert len(saved) == int(of_select(of_things, "thing 1", 0).mask.sum())
+    # An expression is present where the page has things to draw.
+    for text, numbers in (("thing 7 and thing 1", []), ("thing 7 and not thing 1", [7])):
+        answer = of_things.answers([text])[0]
+        assert (answer.verdict["present"], answer.chosen_things) == (bool(numbers), numbers)
 
 
 @pytest.mark.parametrize("make", [field_with_things, lambda: random_field(300)], ids=["things", "votes"])
-def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageField]) -> None:
+def test_page_exported_page_and_agents_do_not_contradict_the_field(make: Callable[[], LanguageField]) -> None:
     field = make().with_encoder(table())
-    viewed, tools = ViewedField(field), SceneTools({"f": field})
-    answers, certainties = field.answer(list(WORDS)), set()
-    page = viewed.answers(WORDS)
+    tools, answers, page = (
+        SceneTools({"f": field}),
+        field.answer(list(WORDS)),
+        ViewedField(field).answers(WORDS),
+    )
     for answer, on_page, exported in zip(answers, page, exported_verdicts(field, page), strict=True):
-        text, present = answer.text, answer.presence
-        certainties.add(answer.certainty)
         assert verdict(answer) == verdict(on_page)
         wanted = {name: verdict(answer)[name] for name in exported}
         assert exported == wanted | {"score": pytest.approx(wanted["score"])}
         assert field.levels[on_page.level] == answer.level
-        assert (on_page.chosen_things or [] if present else []) == list(answer.things)
-        selection, place, things = field.select(text), field.location(text), field.things(text)
-        assert torch.equal(selection.mask, answer.mask)
-        assert selection.to_dict() == place.answer.to_dict() == answer.to_dict()
-        assert place.presence == bool(things) == bool(answer.mask.any()) == present
-        labels = field.label([text])
-        found = (labels.scores[0], labels.presence[0], labels.levels[0], labels.things[0])
-        assert found == (answer.score, present, answer.level, answer.things)
-        reply = tools.find("f", text)
+        assert (on_page.chosen_things or [] if answer.presence else []) == list(answer.things)
+        reply, things = tools.find("f", answer.text), field.things(answer.text)
         said = {name: answer.to_dict()[name] for name in ("score", "certainty", "runner_up")}
+        assert reply["texts"] == [{"text": answer.text, **said}]
         assert len(reply["things"]) == len(things)
-        assert reply["texts"] == [{"text": text, **said}]
         if answer.things:
             numbers = [each["thing"] for each in reply["things"]]
             assert numbers == [each.number for each in things] == list(answer.things)
             assert reply["things"][0]["level"] == answer.level
-    assert {"sure", "not here"} <= certainties
+    assert {"sure", "not here"} <= {answer.certainty for answer in answers}
 
 
 def exported_verdicts(field: LanguageField, answers: list[PageAnswer]) -> Iterator[dict[str, object]]:
@@ -154,33 +145,6 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
         assert not {"things", "runner_up"} & set(unpacked(words_data(each.field, [answer]))[0])
 
 
-def test_words_name_the_same_things(of_things: ViewedField) -> None:
-    answers = of_things.answers(WORDS)
-    tensors = unpacked(words_data(of_things.field, answers))[0]
-    counts, numbers = tensors["thing_counts"], iter(tensors["things"].tolist())
-    assert counts.shape == (len(WORDS), 3)
-    rivals = zip(tensors["runner_up"].tolist(), tensors["runner_up_score"].tolist(), strict=True)
-    for row, (thing, score), answer in zip(counts.tolist(), rivals, answers, strict=True):
-        named = [[next(numbers) for _ in range(count)] for count in row]
-        assert named == [answer.chosen_things, *answer.things]
-        assert {"thing": thing, "score": pytest.approx(score)} == answer.verdict["runner_up"]
-    assert list(numbers) == []
-
-
-def test_selections_are_saved_as_select_saves_them(viewed: ViewedField) -> None:
-    answer = viewed.answers(["thing 2"])[0]
-    for level in (0, 1):
-        table_rows = viewed.selection(["thing 2"], level, always=True)
-        assert len(table_rows) == int(of_select(viewed, "thing 2", level).mask.sum())
-        rest = viewed.selection(["thing 2"], level, rest=True, always=True)
-        assert len(rest) + len(table_rows) == len(viewed.field)
-    # A threshold alone leaves the level that answers.
-    fixed = viewed.selection(["thing 2"], None, 0.3, always=True)
-    assert abs(len(fixed) - int(selected(viewed, answer, answer.level, 0.3).sum())) <= 1
-    with refuses():
-        viewed.selection(["thing 2"], None, 1.0, always=True)
-
-
 def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> None:
     answer = viewed.answers(["thing 1"])[0]
     record = json.loads(json.dumps(answer.to_dict()))
@@ -188,17 +152,14 @@ def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> 
     assert np.array_equal(scores, answer.scores.numpy())
     assert record["text"] == "thing 1"
     assert len(record["thresholds"]) == len(record["spans"]) == 2
-
-
-def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> None:
-    viewed = viewed_field(count=5)
-    viewed.field.code_weights[:] = 0
-    record = viewed.answers(["thing 1"])[0].to_dict()
+    # Nothing is infinite where no Gaussian has a code.
+    empty = viewed_field(count=5)
+    empty.field.code_weights[:] = 0
+    record = empty.answers(["thing 1"])[0].to_dict()
     assert (record["certainty"], record["present"], record["gaussians"]) == ("not here", False, 0)
     json.dumps(record, allow_nan=False)
     spans = level_thresholds(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool))[1]
-    assert (spans == 0.5).all()
-    assert spans.shape == (2, 2)
+    assert spans.tolist() == [[0.5, 0.5]] * 2
 
 
 def test_the_vocabulary_is_the_table_or_a_list(viewed: ViewedField, tmp_path: Path) -> None:
@@ -220,9 +181,8 @@ def test_the_vocabulary_is_the_table_or_a_list(viewed: ViewedField, tmp_path: Pa
         read_words(listed)
 
 
-def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
-    texts = viewed.question(WORDS)
-    answers = list(scene_answers(viewed.field, texts))
+def test_words_hold_the_same_answers(viewed: ViewedField, of_things: ViewedField) -> None:
+    answers = list(scene_answers(viewed.field, viewed.question(WORDS)))
     tensors, metadata = unpacked(words_data(viewed.field, answers))
     assert metadata["names"] == list(WORDS)
     assert tensors["scores"].shape == (len(WORDS), 2, 9)
@@ -242,6 +202,16 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     stored = unpacked(words_data(unjudged.field, unjudged.answers(["thing 0"])))[0]
     assert math.isnan(stored["score"][0])
     assert (stored["certainty"][0], stored["present"][0]) == (255, 1)
+    # And name the same things.
+    answers = of_things.answers(WORDS)
+    tensors = unpacked(words_data(of_things.field, answers))[0]
+    assert tensors["thing_counts"].shape == (len(WORDS), 3)
+    named = [[answer.chosen_things, *answer.things] for answer in answers]
+    assert [[len(each or ()) for each in row] for row in named] == tensors["thing_counts"].tolist()
+    assert [number for row in named for each in row for number in each or ()] == tensors["things"].tolist()
+    rivals = [answer.verdict["runner_up"] for answer in answers]
+    assert [rival["thing"] for rival in rivals] == tensors["runner_up"].tolist()
+    assert [rival["score"] for rival in rivals] == pytest.approx(tensors["runner_up_score"].tolist())
 
 
 def test_an_encoder_of_another_size_is_refused_only_if_it_was_given() -> None:

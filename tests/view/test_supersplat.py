@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_support import A_THING, PATIENCE, THINGS, saved_field
+from browser_support import A_THING, THINGS, Visit, saved_field
 
 from cli_support import run_json
 from scoup.io import PlyTable
@@ -31,20 +31,17 @@ EXPORT = (
 def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     """A page with the files of a folder that has a field."""
     saved_field(tmp_path)
-    page, problems = browser.new_page(), []
-    page.set_default_timeout(PATIENCE)
-    page.on("console", lambda said: problems.append(said.text) if said.type in ("error", "warning") else None)
-    page.on("pageerror", lambda error: problems.append(str(error)))
+    visit = Visit(browser.new_page())
 
     def serve(route: Route) -> None:
         name = route.request.url.split("?")[0].split("/", 3)[3]
         files = (tmp_path / name, Path(PROGRAM or "", name))
         route.fulfill(path=next(file for file in files if file.is_file()))
 
-    page.route("**/*", serve)
-    yield page
-    assert problems == []
-    page.close()
+    visit.page.route("**/*", serve)
+    yield visit.page
+    assert visit.problems == []
+    visit.page.close()
 
 
 def counts(page: Page, file: str) -> list[int]:

@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
+import random
 import socket
-import threading
+import time
+import urllib.request
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
 pytest.importorskip("uvicorn", reason="needs scoup[view]")
 
+from starlette.responses import Response
 from view_samples import PAGE, random_field, table, viewed_field
 
 from messages import refuses
 from scoup.base import InputError, ScoupError
+from scoup.view import connections
 from scoup.view import viewer as module
-from scoup.view.viewer import PORT, Viewer, check_needed, open_viewer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+from scoup.view.guard import Guard
+from scoup.view.server import _Guarded
+from scoup.view.viewer import Viewer, check_needed, open_viewer
 
 
 @pytest.fixture(autouse=True)
 def page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "page_files", lambda: PAGE)
+    licences = "x" * (32 << 20)  # more than the system takes at once
+    monkeypatch.setattr(module, "page_files", lambda: replace(PAGE, licences=licences))
 
 
 @pytest.fixture
@@ -59,6 +66,9 @@ def test_it_answers_until_it_is_closed(viewer: Viewer) -> None:
     with pytest.raises(ConnectionRefusedError):
         ask(viewer, "/api/query", {"texts": ["thing 1"]})
     viewer.close()  # once more does nothing
+    with open_viewer(random_field().with_encoder(table()), words=["thing 3"], height=300) as opened:
+        assert 'height="300"' in opened._repr_html_()
+        assert ask(opened, "/api/vocabulary")[1]["names"] == ["thing 3"]
 
 
 def test_a_port_in_use_is_named_or_another_is_taken() -> None:
@@ -71,16 +81,9 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
     with Viewer(viewed_field()) as first, Viewer(viewed_field()) as second:
         assert first.address != second.address
         assert first.address.startswith("http://127.0.0.1:")
-    assert PORT > 1024
     for host in ("192.0.2.1", "no such host"):
         with pytest.raises(InputError, match=r"is not a host|[Cc]annot assign"):
             Viewer(viewed_field(), host=host, port=0)
-
-
-def test_a_field_opens_its_viewer() -> None:
-    with open_viewer(random_field().with_encoder(table()), words=["thing 3"], height=300) as viewer:
-        assert 'height="300"' in viewer._repr_html_()
-        assert ask(viewer, "/api/vocabulary")[1]["names"] == ["thing 3"]
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,55 +104,129 @@ def test_nothing_else_is_handed_out(viewer: Viewer) -> None:
         assert (status, bool(said["error"])) == (404, True), path
 
 
-@contextmanager
-def another_site() -> Iterator[str]:
-    """Address of an empty page."""
-
-    class Empty(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("content-type", "text/html")
-            self.end_headers()
-            self.wfile.write(b"<!doctype html><title>another site</title>")
-
-        def log_message(self, format: str, *arguments: Any) -> None:
-            del format, arguments
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
+# ---- Connections that are too many, or slow
 
 
-READ = """async ([address, method]) => {
-  const body = method === "POST" ? JSON.stringify({texts: ["thing 1"]}) : undefined;
-  try { return (await fetch(address, {method, body})).status; } catch (error) { return error.name; }
-}"""
-DRAW = """(address) => new Promise((done) => {
-  const picture = new Image();
-  picture.onload = () => done("loaded");
-  picture.onerror = () => done("refused");
-  picture.src = address;
-})"""
-FRAME = """(address) => new Promise((done) => {
-  const frame = document.createElement("iframe");
-  frame.onload = () => { try { done(frame.contentDocument ? "read" : "closed"); } catch { done("closed"); } };
-  frame.src = address;
-  document.body.append(frame);
-})"""
+ASK_LICENCES = "GET PATHlicences.txt HTTP/1.1\r\nHost: HOST\r\n\r\n"
+ASK_ALIVE = ASK_LICENCES.replace("licences.txt", "api/alive")
+POST = "POST PATHapi/query HTTP/1.1\r\nHost: HOST\r\nContent-Length: 40\r\n\r\n"
 
 
-def test_a_page_of_another_site_gets_nothing(browser: Browser, viewer: Viewer):
-    page = browser.new_page()
-    with another_site() as site:
-        page.goto(site)
-        for method, path in (("GET", "scene.bin"), ("GET", "api/scene"), ("POST", "api/query")):
-            assert page.evaluate(READ, [viewer.address + path, method]) == "TypeError", path
-        assert page.evaluate(DRAW, f"{viewer.address}api/thumbnail/0") == "refused"
-        assert page.evaluate(FRAME, viewer.address) == "closed"
-        # The same from its own page, so that the refusals above are about the site.
-        page.goto(viewer.address)
-        assert page.evaluate(READ, [f"{viewer.address}api/query", "POST"]) == 200
-        assert page.evaluate(DRAW, f"{viewer.address}api/thumbnail/0") == "loaded"
-    page.close()
+def connect(viewer: Viewer, sent: str = "") -> socket.socket:
+    parts = urlsplit(viewer.address)
+    found = socket.create_connection((parts.hostname or "", parts.port or 0), timeout=30)
+    found.sendall(sent.replace("PATH", parts.path).replace("HOST", parts.netloc).encode())
+    return found
+
+
+def until_closed(opened: socket.socket) -> None:
+    """Wait until the server closed a connection; time-outs raise."""
+    with suppress(ConnectionResetError):
+        while opened.recv(65_536):
+            pass
+
+
+def answers(viewer: Viewer) -> bool:
+    with urllib.request.urlopen(f"{viewer.address}api/alive", timeout=30) as answer:
+        return answer.status == 204
+
+
+def test_who_does_not_end_a_request_or_read_an_answer_is_let_go(viewer: Viewer, monkeypatch) -> None:
+    monkeypatch.setattr(connections, "SECONDS", 0.2)
+    monkeypatch.setattr(viewer._server.config, "timeout_keep_alive", 0.2)
+    for sent in (
+        "",
+        "GET PATH",
+        "GET PATHapi/alive HTTP/1.1\r\nHost: HOST\r\nX-Slow: ",
+        f"{POST}{{",
+        f"{ASK_ALIVE}GET PATH",  # a whole request, and half of a second one
+    ):
+        with connect(viewer, sent) as opened:
+            until_closed(opened)
+        assert answers(viewer), sent
+    with connect(viewer, ASK_LICENCES) as reader:
+        assert reader.recv(15) == b"HTTP/1.1 200 OK"
+        while viewer._server.server_state.connections:
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Places that no deadline frees: a visitor who is answered at all was let in at once."""
+    for name, value in {"MOST": 8, "STRANGERS": 4, "SECONDS": 600.0}.items():
+        monkeypatch.setattr(connections, name, value)
+
+
+@pytest.mark.usefixtures("few_places")
+def test_idle_half_sent_and_unread_requests_lock_nobody_out(viewer: Viewer) -> None:
+    for sent in ("", "GET PATH", POST):
+        with ExitStack() as stack:
+            opened = [stack.enter_context(connect(viewer, sent)) for _ in range(30)]
+            assert answers(viewer)
+            assert len(viewer._server.server_state.connections) <= connections.MOST
+            for ended in opened[:20]:
+                assert ended.recv(100).startswith(b"HTTP/1.1 503 Service Unavailable\r\n"), sent
+                until_closed(ended)
+    with ExitStack() as stack:
+        for _ in range(12):
+            reader = stack.enter_context(connect(viewer, ASK_LICENCES))
+            assert reader.recv(15) == b"HTTP/1.1 200 OK"
+            state = viewer._server.server_state
+            while not all(each.flow.write_paused for each in connections.opened_of(state)):
+                time.sleep(0.01)
+        assert answers(viewer)
+
+
+@pytest.mark.parametrize("size", [0, 1, connections.PART, 2 * connections.PART + 1])
+def test_answers_arrive_whole_and_others_have_their_turn_between_the_parts(size: int) -> None:
+    content, told, got = random.Random(size).randbytes(size), list[str](), list[bytes]()
+
+    async def send(message: Any) -> None:
+        told.append("part" if message.get("body") else "start")
+        got.append(message.get("body", b""))
+
+    async def both() -> None:
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [(b"host", b"localhost")]}
+        inner: Any = Response(content)
+        receive: Any = send  # nothing is received
+        answer = asyncio.ensure_future(_Guarded(inner, Guard.of("localhost"))(scope, receive, send))
+        while not answer.done():
+            told.append("others")
+            await asyncio.sleep(0)
+
+    asyncio.run(both())
+    assert b"".join(got) == content
+    assert max(map(len, got)) <= connections.PART
+    assert not any(pair == ("part", "part") for pair in pairwise(told))
+
+
+@pytest.mark.usefixtures("few_places")
+def test_who_lacks_the_token_has_few_places_and_one_answer_each() -> None:
+    sent = "GET {} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with Viewer(viewed_field(count=40), host="0.0.0.0", port=0) as viewer, ExitStack() as stack:
+        path = f"{urlsplit(viewer.address).path}api/alive"
+        with connect(viewer, sent.format("/nothing")) as stranger:
+            assert b"connection: close" in stranger.recv(10_000).lower()
+            until_closed(stranger)
+        visitors = [stack.enter_context(connect(viewer, sent.format(path))) for _ in range(3)]
+        for visitor in visitors:
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        for _ in range(30):
+            stack.enter_context(connect(viewer))
+        for visitor in visitors:  # as before: strangers ended one another
+            visitor.sendall(sent.format(path).encode())
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        assert len(viewer._server.server_state.connections) <= 3 + connections.STRANGERS
+
+
+def test_the_address_with_the_most_connections_makes_room() -> None:
+    def opened(address: str, when: float, is_stranger: bool = False) -> Any:
+        deadline = SimpleNamespace(when=lambda: when)
+        return SimpleNamespace(client=(address, 1), is_stranger=is_stranger, deadline=deadline)
+
+    busy = SimpleNamespace(client=("b", 1), is_stranger=False, deadline=None)
+    found: list[Any] = [opened("a", 1), opened("b", 3), opened("b", 2), busy, opened("c", 9, True)]
+    assert connections.idlest(found) is found[4]
+    assert connections.idlest(found[:4]) is found[2]
+    assert connections.idlest(found[:4], but=found[2]) is found[1]
+    assert connections.idlest(found[3:4]) is None

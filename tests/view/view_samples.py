@@ -128,3 +128,16 @@ def shown_relevancy(
     cosine = (weights * scores[level][indices]).sum(0)
     rivals = (weights * canonical[level][:, indices]).sum(1).max(0)
     return 1 / (1 + np.exp(-10 * (cosine - rivals)))
+
+
+def selected_by_votes(
+    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
+) -> Tensor:
+    """[N] what the page's shader is to select, from the field's own relevancy of its Gaussians."""
+    answer, question = viewed.answers([text])[0], viewed.question([text])
+    level = answer.level if level is None else level
+    relevancy = viewed.field.gaussian_relevancy(question.queries, question.canonical)[level, 0]
+    low, high = answer.spans[level].tolist()
+    rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
+    own = answer.thresholds[level] if threshold is None else threshold
+    return (rescaled > own) & viewed.field.coded_levels()[level]

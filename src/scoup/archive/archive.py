@@ -60,8 +60,8 @@ from scoup.models import Encoder, TextEncoder
 from scoup.query import (
     LanguageField,
     OrientedBox,
+    Thing,
     ThingIndex,
-    things_of_table,
     warn_of_another_model,
 )
 
@@ -209,7 +209,7 @@ class Archive:
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
         table = field.thing_table.to("cpu")
-        things = things_of_table(field, range(len(table)))
+        things = Thing.of_table(field, range(len(table)))
         placed = torch.zeros(len(table), dtype=torch.bool)
         placed[[thing.number or 0 for thing in things]] = True
         vectors = vector_bytes(table.embeddings)
@@ -417,7 +417,7 @@ class Archive:
 
     def _embedded(self, pixels: NDArray[np.uint8]) -> Tensor:
         """Return the vector [D] of an image [H, W, 3] by the embedding model of the archive."""
-        from scoup.extract import Masks, embed_masks, open_embedder
+        from scoup.extract import embed_image, open_embedder
 
         about = self._about()
         if not about:
@@ -430,8 +430,7 @@ class Archive:
             reason = str(error).partition(";")[0]
             problem = f"contains {_embeddings(**about)}, and its model embeds no image here ({reason})"
             raise InputError(f"{self.folder}: {problem}; ask with a text") from error
-        whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
-        return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
+        return embed_image(pixels, self._embedder)
 
     def _answers(self, asked: AskedScans, wanted: Wanted, top: int | None) -> list[Found]:
         """Return the things that answer and are wanted, with ``top`` the best.

@@ -13,7 +13,7 @@ from scoup.archive.archive import FoundThing
 from scoup.base import ScoupError, ScoupWarning, html
 from scoup.field import relative_place
 from scoup.pictures import Picture
-from scoup.query import draw_things, things_of_table
+from scoup.query import Thing, draw_things
 
 _FOUND = """{% extends "page" %}{% block body %}<ul>
 {% for thing, picture, link in found %}
@@ -51,7 +51,7 @@ def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:
         wanted = {thing.thing: thing.position for thing in results if thing.thing < count}
         things = [
             thing
-            for thing in (things_of_table(field, [*wanted]) if wanted else ())
+            for thing in (Thing.of_table(field, [*wanted]) if wanted else ())
             if torch.equal(thing.position, wanted[thing.number or 0])
         ]
         if len(things) < len(results):

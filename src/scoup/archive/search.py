@@ -25,7 +25,6 @@ from scoup.query import (
     ThingIndex,
     asked_things,
     parse_expression,
-    texts_of,
 )
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
@@ -107,7 +106,7 @@ class AskedScans:
             return
         best: dict[int, float] = {}
         for target in targets:
-            needed = texts_of(target)
+            needed = (target,) if isinstance(target, str) else target.texts
             ranks = self._best_ranks(needed[0])
             for scene, rank in enumerate(ranks):
                 if all(verdicts[text][scene].presence for text in needed):

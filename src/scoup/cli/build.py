@@ -91,7 +91,7 @@ class Build:
         if not (field.embedding_model or field.info.words):
             remedy = "build with --model, or pass --text to each question"
             warnings.warn(f"{out}: names nothing that can encode texts; {remedy}", ScoupWarning, stacklevel=2)
-        kept_sums, seconds = self.region_sums.keep_sums, time.perf_counter() - started
+        kept_sums, seconds = sums if self.region_sums.keep_sums else None, time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
         console.say(whole + _suggestion(field, out))
@@ -141,7 +141,11 @@ class Build:
                     sources=FieldSources(loaded.model, loaded.words, loaded.source), sums=sums, codebook=codebook,
                     progress=progress,
                 )  # fmt: skip
-            return field if loaded.concepts is None else name_field(field, *loaded.concepts)
+            if loaded.concepts is None:
+                return field
+            texts, found = loaded.concepts
+            views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
+            return name_field(field, texts, views)
         finally:
             if self.region_sums.keep_sums is not None:
                 sums.flush()
@@ -166,7 +170,7 @@ class Build:
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""
         from scoup.scene import Cameras
-        from scoup.uplift import add_views, cameras_with_regions, check_scene
+        from scoup.uplift import cameras_with_regions, check_scene, region_sums
 
         part, folder = Part.parse(self.region_sums.part or ""), self.region_sums.keep_sums
         if folder is None:
@@ -184,7 +188,9 @@ class Build:
             check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)
             self._report_resumed(console, sums, len(views))
             with console.progress() as progress:
-                add_views(sums, loaded.gaussians, list(chosen), loaded.regions, progress=progress)
+                region_sums(
+                    loaded.gaussians, loaded.cameras, loaded.regions, settings, sums=sums, part=part, progress=progress
+                )  # fmt: skip
             sums.flush()
         seconds = time.perf_counter() - started
         console.say(
@@ -241,14 +247,12 @@ class Build:
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        from scoup.uplift import stored_size
-
         if self.region_sums.keep_sums is None:
             return
-        before, folder = console.kept(), self.region_sums.keep_sums
+        before = console.kept()
 
         def report_kept() -> str:
-            stored = stored_size(folder)[0]
+            stored = sums.stored_size()[0]
             return kept(f"{stored} of {views} views") if stored else before
 
         console.kept = report_kept

@@ -13,6 +13,7 @@ from scoup.cli.options import arg
 if TYPE_CHECKING:
     from scoup.field import Field
     from scoup.scene import Cameras, Regions
+    from scoup.uplift import RegionSums
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,14 +121,13 @@ def report_field(
     console: Console,
     field: Field,
     out: Path,
-    sums: Path | None,
+    sums: RegionSums | None,
     device: str,
     seconds: float,
     extraction: dict[str, Any],
 ) -> None:
-    """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
+    """Report what was built; the ``sums`` that are kept, and the extraction if there was one."""
     from scoup.field import part_sizes
-    from scoup.uplift import stored_size
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
@@ -144,9 +144,9 @@ def report_field(
     )
     record: dict[str, Any] = {"field": out, **({"extraction": extraction} if extraction else {})}
     if sums is not None:
-        n_views, sums_bytes = stored_size(sums)
-        console.say(f"{sums}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
-        record |= {"sums": sums, "sums_bytes": sums_bytes}
+        n_views, sums_bytes = sums.stored_size()
+        console.say(f"{sums.path}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
+        record |= {"sums": sums.path, "sums_bytes": sums_bytes}
     peak = _peak_gpu_memory(device)
     if peak is not None:
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")

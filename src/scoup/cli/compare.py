@@ -51,7 +51,7 @@ class CompareCaptures:
     def run(self, console: Console) -> None:
         """Compare and write."""
         from scoup.io import read_similarity, read_words
-        from scoup.query import compare, save_comparison
+        from scoup.query import compare_captures
 
         opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)
@@ -60,11 +60,11 @@ class CompareCaptures:
         old = opening.open(self.old, device)
         new = FieldOptions(gaussians=opening.new_gaussians).open(self.new, device, "--new-gaussians")
         new = new.with_encoder(old.encoder)
-        comparison = compare(old, new, read_words(self.words.words), transform)
-        old.encoder.close()
-        unit, overwrite = self.metres_per_unit, self.common.overwrite
+        words, unit, overwrite = read_words(self.words.words), self.metres_per_unit, self.common.overwrite
         with console.progress() as progress:
-            files = save_comparison(old, new, comparison, out, unit, overwrite, progress)
+            comparison, files = compare_captures(
+                old, new, words, transform, out, metres_per_unit=unit, overwrite=overwrite, progress=progress
+            )
         for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None

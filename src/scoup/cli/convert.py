@@ -76,10 +76,8 @@ class Convert:
             self._convert_splat(console)
         elif self.source.is_dir() or not self.source.exists():
             self._convert_regions(console)
-        elif suffix in _ARRAYS:
-            self._convert_features(console)
-        elif suffix in _CHECKPOINTS:
-            self._convert_checkpoints(console)
+        elif suffix in _ARRAYS + _CHECKPOINTS:
+            self._convert_field(console)
         else:
             raise FileFormatError(
                 self.source,
@@ -136,45 +134,21 @@ class Convert:
             }
         )
 
-    def _convert_features(self, console: Console) -> None:
-        from scoup.io import load_gaussians, read_features, splat_source
-        from scoup.uplift import field_from_features
+    def _convert_field(self, console: Console) -> None:
+        from scoup.uplift import foreign_field
 
         check_field_output(self.target, self.common.overwrite)
-        if self.features.gaussians is None:
+        options, is_array = self.features, self.source.suffix.lower() in _ARRAYS
+        if is_array and options.gaussians is None:
             raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
-        splat = splat_source(self.features.gaussians)
-        gaussians, features = load_gaussians(splat.path), read_features(self.source)
         with console.progress() as progress:
-            field = field_from_features(
-                gaussians,
-                features,
-                self.features.n_atoms,
-                self.features.k,
-                **self._encoder(),
-                raster_preset=splat.preset,
-                progress=progress,
-            )
-        field.geometry_path = splat.path
-        self._save(console, field, embed_geometry=False)
-
-    def _convert_checkpoints(self, console: Console) -> None:
-        from scoup.uplift import field_from_langsplat, langsplat_levels
-
-        check_field_output(self.target, self.common.overwrite)
-        paths = langsplat_levels(self.source)
-        for path in paths:
-            console.say(f"{path}: read")
-        with console.progress() as progress:
-            field = field_from_langsplat(
-                paths,
-                self.features.k,
-                **self._encoder(),
-                decode=self._decoder(),
-                n_atoms=self.features.n_atoms,
-                progress=progress,
-            )
-        self._save(console, field, embed_geometry=True)
+            field = foreign_field(
+                self.source, options.gaussians, None if is_array else self._decoder(),
+                read=lambda path: console.say(f"{path}: read"),
+                n_atoms=options.n_atoms, k=options.k, **self._encoder(), progress=progress,
+            )  # fmt: skip
+        field.save(self.target, self.common.overwrite)
+        self._report(console, field)
 
     def _decoder(self) -> Decoder | None:
         from scoup.io import read_autoencoder
@@ -192,8 +166,7 @@ class Convert:
             return {"embedding_model": self.model}
         return {"words": self.model}
 
-    def _save(self, console: Console, field: Field, embed_geometry: bool) -> None:
-        field.save(self.target, self.common.overwrite, embed_geometry=embed_geometry)
+    def _report(self, console: Console, field: Field) -> None:
         cosines = field.info.provenance.get("mean_cosine", {})
         levels = [
             f"{level} (mean cosine {cosines[level]:.3f})" if level in cosines else level
@@ -203,13 +176,7 @@ class Convert:
             f"{self.target}: {counted(len(field), 'Gaussian')}, {counted(field.n_atoms, 'atom')}, "
             f"levels {', '.join(levels)}"
         )
-        console.result(
-            {
-                "out": self.target,
-                "gaussians": len(field),
-                "coded": int(field.coded().sum()),
-                "levels": list(field.levels),
-                "atoms": field.n_atoms,
-                "mean_cosine": cosines,
-            }
-        )
+        console.result({
+            "out": self.target, "gaussians": len(field), "coded": int(field.coded().sum()),
+            "levels": list(field.levels), "atoms": field.n_atoms, "mean_cosine": cosines,
+        })  # fmt: skip

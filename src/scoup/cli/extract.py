@@ -21,7 +21,7 @@ from scoup.cli.options import (
 
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
-    from scoup.extract import ExtractReport, MaskSettings, Photograph
+    from scoup.extract import ExtractReport, Photograph, PhotographChoice
 
 MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
 
@@ -112,7 +112,7 @@ class Extract:
     def make(self, console: Console) -> dict[str, Any]:
         """Extract and report; returns what the result says."""
         from scoup.cli.views import is_splat
-        from scoup.extract import extract, find_photographs, open_pair, total_wanted
+        from scoup.extract import PhotographChoice, extract, find_photographs, mask_settings, open_pair
         from scoup.io import ScenePaths
 
         scene = self._scene()
@@ -120,33 +120,25 @@ class Extract:
             remedy = f"{command('build', scene)} makes views of it first"
             raise InputError(f"{scene}: is a splat, expected photographs; {remedy}")
         words = self._words()  # a mistake shows before the long work
-        if self.photographs.views != "all":
-            total_wanted(self.photographs.views, 0)
-        segmenter_name, settings = self._masks(console, self.common.device)
-        photographs = find_photographs(scene, self.photographs.images)
+        segmenter_name, preset = self._masks(console, self.common.device)
+        settings = mask_settings(preset, points_per_side=self.masks.points_per_side)
+        wanted = self.photographs
+        photographs = find_photographs(scene, wanted.images)
         part = Part() if self.part is None else Part.parse(self.part)
         out = ScenePaths(scene).features(self.out, to_make=True)
+        overwrite, is_part = self.common.overwrite, self.part is not None
+        choice = PhotographChoice.of(scene, photographs, wanted.views, out, overwrite, is_part)
+        if wanted.gaussians is not None:
+            ScenePaths(scene).splat(wanted.gaussians)  # a mistake shows before the long work
         started = time.perf_counter()
         segmenter, embedder = open_pair(
-            segmenter_name,
-            self.models.embedder,
-            settings,
-            self.common.device,
-            None if self.common.overwrite else out,
+            segmenter_name, self.models.embedder, settings, self.common.device, None if overwrite else out
         )
-        views = self._choose(console, photographs, out)
+        views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
         with _extracting(console, out, part) as progress:
             report = extract(
-                chosen,
-                out,
-                segmenter,
-                embedder,
-                MAX_HEIGHT,
-                self.common.overwrite,
-                part,
-                progress,
-                views is not None,
+                chosen, out, segmenter, embedder, MAX_HEIGHT, overwrite, part, progress, views is not None
             )
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
@@ -191,42 +183,20 @@ class Extract:
         console.say(f"{picture}: {camera.name} ({', '.join(listed)})")
         console.result({"out": picture, "view": camera.name, "regions": counts, "covered": covered})
 
-    def _choose(
-        self, console: Console, photographs: Sequence[Photograph], out: Path
-    ) -> list[Photograph] | None:
-        """Return the photographs to extract; None for all, also if they cannot be compared and no number is passed."""
-        from scoup.extract import FEW, SHEET, choose_photographs, total_wanted
-        from scoup.io import RegionManifest, RegionStore, ScenePaths
-
-        wanted, scene = self.photographs, self._scene()
-        if wanted.gaussians is not None:
-            ScenePaths(scene).splat(wanted.gaussians)  # a mistake shows before the long work
-        before = None if self.common.overwrite else RegionManifest.read(out)
-        there = () if before is None else before.views
-        begun = before is not None and not there  # with all
-        few = len(photographs) <= FEW or (scene / SHEET).exists()  # the views of scoup views are few
-        if wanted.views == "all" or (wanted.views is None and (few or begun)):
-            return None
-        total = total_wanted(wanted.views, len(there))
-        if wanted.views is not None and wanted.views.startswith("+"):
-            if self.part is not None:
-                raise InputError("pass the number of all photographs as --views with --part, not of more")
-            if before is None:
-                raise InputError(f"{out}: contains no regions to add to; pass --views {wanted.views[1:]}")
-            if len(RegionStore.open(out).views(there)) < len(there):
-                total = len(there)  # the same command was interrupted
+    def _choose(self, console: Console, choice: PhotographChoice) -> list[Photograph] | None:
+        """Return the photographs to extract; None for all, if they cannot be compared and no number is passed."""
+        wanted, count = self.photographs, len(choice.photographs)
         try:
             with console.progress() as progress:
-                chosen = choose_photographs(
-                    scene, photographs, total, there=there, gaussians=wanted.gaussians, images=wanted.images,
-                    max_height=MAX_HEIGHT, progress=progress,
-                )  # fmt: skip
+                chosen = choice.choose(
+                    gaussians=wanted.gaussians, images=wanted.images, max_height=MAX_HEIGHT, progress=progress
+                )
         except InputError as error:
             if wanted.views is not None:
                 raise
-            console.say(f"takes all {len(photographs):,} photographs, for they cannot be compared: {error}")
+            console.say(f"takes all {count:,} photographs, for they cannot be compared: {error}")
             return None
-        console.say(f"{len(chosen):,} of {counted(len(photographs), 'photograph')}; --views all takes all")
+        console.say(f"{len(chosen):,} of {counted(count, 'photograph')}; --views all takes all")
         return chosen
 
     def _words(self) -> tuple[str, ...]:
@@ -260,35 +230,25 @@ class Extract:
         )
         return {"words": len(words), **_record(report)}
 
-    def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
-        """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
-        from scoup.extract import mask_settings
-
+    def _masks(self, console: Console, device: str) -> tuple[str, Literal["langsplat", "fast"]]:
+        """Segmenter and preset, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
         on_gpu = device.startswith("cuda")
         segmenter = self.models.segmenter or ("sam-vit-h" if on_gpu else "mobile-sam")
-        preset: Literal["langsplat", "fast"] = self.masks.preset or ("langsplat" if on_gpu else "fast")
+        preset = self.masks.preset or ("langsplat" if on_gpu else "fast")
         console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.models.embedder}")
-        return segmenter, mask_settings(preset, points_per_side=self.masks.points_per_side)
+        return segmenter, preset
 
 
 def _list_models(console: Console) -> None:
-    from scoup.extract import EMBEDDERS, SEGMENTERS
-    from scoup.models import CONCEPTS
+    from scoup.extract import model_tables
 
-    rows = {
-        title: [
-            {**entry.cells(), "weights": entry.weights(), "what it is": entry.help}
-            for entry in table.values()
-        ]
-        for title, table in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS), ("concepts", CONCEPTS))
-    }
+    rows = model_tables()
     for records in rows.values():
         lines = [list(records[0]), *(list(record.values()) for record in records)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         for line in lines:
-            console.say(
-                "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-            )
+            cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+            console.say("  ".join(cells).rstrip())
         console.say("")
     console.result(rows)
 

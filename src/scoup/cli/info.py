@@ -39,10 +39,10 @@ class Info:
 
 def _other(path: Path) -> dict[str, Any]:
     from scoup.io import describe
-    from scoup.uplift import fit_problem, has_region_sums, measure_fit
+    from scoup.uplift import RegionSums, measure_fit
 
-    if path.is_dir() and has_region_sums(path):
-        return _region_sums(path)
+    if path.is_dir() and RegionSums.are_in(path):
+        return RegionSums.open(path).describe()
     folder = describe(path)
     if folder is None:
         return _word_table(path)
@@ -51,7 +51,7 @@ def _other(path: Path) -> dict[str, Any]:
     # As a build would find them.
     cameras = [camera for camera in folder.cameras if camera.image_path] or list(folder.cameras)
     fit = measure_fit(folder.gaussians, cameras, folder.splat.preset)
-    if problem := fit_problem(fit, cameras, folder.splat.path):
+    if problem := fit.problem(cameras, folder.splat.path):
         warnings.warn(problem, ScoupWarning, stacklevel=2)
     return {**folder.record, "fit": fit.describe()}
 
@@ -62,22 +62,6 @@ def _word_table(path: Path) -> dict[str, Any]:
     table = WordTable.load(path)
     record = {"kind": "word table", "names": list(table.names), "dim": table.vectors.shape[1]}
     return record | ({"embedding_model": table.model} if table.model else {})
-
-
-def _region_sums(path: Path) -> dict[str, Any]:
-    from scoup.uplift import RegionSums
-
-    sums = RegionSums.open(path)
-    return {
-        "kind": "region sums",
-        "gaussians": sums.n_gaussians,
-        "levels": list(sums.levels),
-        "raster_preset": sums.raster_preset,
-        "scale": sums.scale,
-        "views": len(sums),
-        "bytes": sums.bytes,
-        "fingerprint": sums.fingerprint,
-    }
 
 
 def _field(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base import InputError, Progress, check_output, counted, reported, staged, unique_slugs
+from scoup.base import InputError, check_output, counted, reported, staged
 from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from scoup.scene import Camera
 
 RECORD = "query.json"
-FRAMES, FRAMES_PER_SECOND = 120, 24.0  # of a video
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,15 +102,14 @@ class Query:
         question = self.opening.question(
             field, self.texts, frame=self.directions.frame(field), **self.answer.rules()
         )
-        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
-        names = [RECORD, *files.names, *self._video_names()]
+        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco, self.video)
+        names = [RECORD, *files.names]
         with staged(out, names, self.common.overwrite) as hidden, console.progress() as progress:
             views = reported(cameras, "query", len(cameras), progress)
             records = self._write_views(field, question, views, files, hidden)
             files.finish(hidden)
             places = field.location(question)
             metres_per_unit = self._metres_per_unit(places[0])
-            videos = self._save_videos(field, places, hidden, progress)
             result: dict[str, Any] = {
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
@@ -122,6 +120,8 @@ class Query:
             if refined is not None:
                 result["refined"] = refined
             if self.video != "none":
+                everywhere = self.view.all_cameras(field, self.field)
+                videos = files.add_videos(field, places, everywhere, hidden, progress)
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
         self._report(console, result, places, metres_per_unit)
@@ -186,34 +186,6 @@ class Query:
                 records.append({**record, "files": places} if places else record)
         self.view.check_seen(self.field, blind, len({record["camera"] for record in records}))
         return records
-
-    def _video_names(self) -> list[str]:
-        """Return the names of the videos of all texts; texts without a place get none on a turntable."""
-        names = unique_slugs(self.texts) if self.video != "none" else []
-        return [f"{name}_{self.video}.mp4" for name in names]
-
-    def _save_videos(
-        self,
-        field: LanguageField,
-        places: list[Place],
-        hidden: Path,
-        progress: Progress,
-    ) -> list[str]:
-        """Write the requested videos; return their names."""
-        from scoup.pictures import save_frames
-        from scoup.query import heat_frames
-
-        if self.video == "none":
-            return []
-        everywhere = self.view.all_cameras(field, self.field)
-        written = []
-        for name, place in zip(self._video_names(), places, strict=True):
-            if self.video == "turntable" and place.position is None:
-                continue
-            frames = heat_frames(field, place, everywhere, self.video, FRAMES)
-            save_frames(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
-            written.append(name)
-        return written
 
     def _report(
         self,

@@ -28,7 +28,6 @@ from scoup.cli.query_options import (
 
 if TYPE_CHECKING:
     from scoup.query import ExpressionAnswer, LanguageField, Place
-    from scoup.scene import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +109,7 @@ class Select:
     def _check_options(self) -> None:
         from scoup.base import check_output
         from scoup.io import written_format
+        from scoup.query import SceneEdit
 
         check_number("--opacity", self.opacity, 0, 1)
         check_metres(self.metres_per_unit)
@@ -117,7 +117,7 @@ class Select:
         is_field = self.out.suffix.lower() == ".scoup"
         if not is_field:
             written_format(self.out, "a field (.scoup)")
-        if self.edit == "state" and not self._is_plain_ply():
+        if self.edit == "state" and not SceneEdit.copies_rows(self.out):
             what = "a field" if is_field else "this format"
             raise InputError(f"{self.out}: {what} has no column of states; use a name that ends in .ply")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
@@ -125,9 +125,6 @@ class Select:
         for path in (self.out, self.picture):
             if path is not None:
                 check_output(path, overwrite=self.common.overwrite)
-
-    def _is_plain_ply(self) -> bool:
-        return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
 
     def _rgb(self) -> tuple[float, float, float]:
         """Return the colour of --color, 0 to 1."""
@@ -168,39 +165,14 @@ class Select:
 
     def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
-        from scoup.io import save_gaussians
-        from scoup.query import SplatTable, edited
-
-        left = field.gaussians
-        if self.edit != "state":
-            left = edited(left, whole.mask, self.edit, self._rgb(), self.opacity)
-        self._draw(field, whole, left)
-        mask = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
-        if self.out.suffix.lower() == ".scoup":
-            edited_field = field.with_gaussians(left) if mask is None else field[mask]
-            edited_field.save(self.out, self.common.overwrite)
-        elif self._is_plain_ply():
-            rows = SplatTable.of(field, self.opening.gaussians)
-            if self.edit == "state":
-                table = rows.with_state(whole.mask)
-            else:
-                table = rows.edited(whole.mask, left) if mask is None else rows.select(mask)
-            table.write(self.out, self.common.overwrite)
-            return len(table)
-        else:
-            save_gaussians(left.to("cpu"), self.out, self.common.overwrite)
-        return len(left)
-
-    def _draw(self, field: LanguageField, whole: ExpressionAnswer, left: Gaussians) -> None:
-        """Write the picture, if it is wanted."""
         from scoup.io import save_png
-        from scoup.query import edit_picture
+        from scoup.query import SceneEdit
 
-        if self.picture is None:
-            return
-        cameras = self.view.open_cameras(field, self.field, "all")
-        picture = edit_picture(field, left, whole.mask, cameras, whole.text)
-        save_png(picture, self.picture, self.common.overwrite)
+        edit = SceneEdit(field, whole.mask, self.edit, self._rgb(), self.opacity)
+        if self.picture is not None:
+            cameras = self.view.open_cameras(field, self.field, "all")
+            save_png(edit.picture(cameras, whole.text), self.picture, self.common.overwrite)
+        return edit.save(self.out, self.opening.gaussians, self.common.overwrite)
 
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}

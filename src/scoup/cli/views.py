@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, check_output, counted
+from scoup.base import counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import Direction, WritesCommon, arg
 
@@ -47,36 +47,27 @@ class MakeViews:
 
     def run(self, console: Console) -> None:
         """Choose, render, report."""
-        from scoup.extract import SHEET
+        from scoup.extract import ViewsFolder
 
         record = self.make(console)
         out = record["scene"]
         console.say(
-            f"look at {out / SHEET}; then: {command('extract', out)}, "
+            f"look at {ViewsFolder(out).sheet}; then: {command('extract', out)}, "
             f"{command('build', out, '--gaussians', self.splat)}"
         )
         console.result(record)
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
-        from scoup.extract import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import ScenePaths, load_gaussians, splat_source
+        from scoup.extract import ViewsFolder
+        from scoup.io import splat_source
 
-        splat = splat_source(self.splat)
-        source = splat.path
-        out = self.out or Path(f"{source.stem}_views")
-        check_output(out / TRANSFORMS, out / SHEET, overwrite=self.common.overwrite)
-        there = ScenePaths(out)
-        if there.has_cameras and there.cameras().path != out / TRANSFORMS:
-            raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
-        gaussians, view = load_gaussians(source), self.view
-        up = view.up
-        if view.keep_axes and splat.kind.axis is not None:
-            up = splat.kind.turned_direction(up or estimated_up(splat.kind.turned(gaussians)))
-        how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
+        out = self.out or Path(f"{splat_source(self.splat).path.stem}_views")
+        folder, view, overwrite = ViewsFolder(out), self.view, self.common.overwrite
+        folder.check(overwrite)
+        sizes = {"width": view.width, "height": view.height, "count": view.views}
         with console.progress() as progress:
-            cameras = choose_cameras(gaussians, progress=progress, **how)
-            shown = save_views(gaussians, cameras, out, self.common.overwrite, progress)
+            cameras, shown = folder.make(self.splat, view.up, view.keep_axes, overwrite, progress, **sizes)
         console.say(
             f"{out}: {counted(len(cameras), 'view')}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
@@ -94,9 +85,9 @@ def is_splat(path: Path) -> bool:
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
     """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` incomplete
     ones are replaced."""
-    from scoup.extract import TRANSFORMS
+    from scoup.extract import ViewsFolder
 
-    if (folder / TRANSFORMS).exists():
+    if ViewsFolder(folder).is_made:
         again = command("views", splat, "--out", folder, "--overwrite")
         console.say(f"{folder}: uses the existing views; to replace them: {again}")
     else:

@@ -10,7 +10,7 @@ over the K atoms of its support (the K largest logits), and its gradients are, w
     dc/dC   = (w / n) f^T - (c / n^2) w w^T C    (summed over regions)
 
 so no vector of D numbers is ever formed per region, which autograd would do: it takes twenty times as long.
-``tests/coding/plain_adam.py`` is the plain form.
+``tests/coding/test_adam.py`` has the plain form.
 """
 
 from __future__ import annotations

@@ -6,15 +6,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count as count_from
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from scoup.base import InputError, Progress, no_progress, reported, staged
+from scoup.base import InputError, Progress, check_output, no_progress, reported, staged
 from scoup.extract import constants
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
-from scoup.io import load_cameras, save_png, write_transforms
+from scoup.io import (
+    ScenePaths,
+    load_cameras,
+    load_gaussians,
+    save_png,
+    splat_source,
+    write_transforms,
+)
 from scoup.pictures import as_picture, contact_sheet, sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene import Camera, Cameras, Gaussians, checked_direction
@@ -85,11 +93,6 @@ def choose_cameras(
     return Cameras(
         replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )
-
-
-def estimated_up(gaussians: Gaussians) -> tuple[float, ...]:
-    """Return the direction [3] that ``choose_cameras`` takes for up; it warns of a guess."""
-    return tuple(estimate_up_of_splat(gaussians, find_matter(gaussians)).tolist())
 
 
 def _check_numbers(width: int, height: int, count: int | None) -> None:
@@ -166,6 +169,45 @@ def save_views(
     counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
     once, often = (float((counted >= least).double().mean()) for least in (1, 3))
     return Coverage(once, often)
+
+
+@dataclass(frozen=True)
+class ViewsFolder:
+    """A scene folder with views of a splat that comes without photographs."""
+
+    folder: Path
+
+    @property
+    def sheet(self) -> Path:
+        """The picture of all views."""
+        return self.folder / SHEET
+
+    @property
+    def is_made(self) -> bool:
+        return (self.folder / TRANSFORMS).exists()
+
+    def check(self, overwrite: bool) -> None:
+        """Refuse a folder with views, unless they are overwritten, or with other cameras."""
+        out = self.folder
+        check_output(out / TRANSFORMS, self.sheet, overwrite=overwrite)
+        scene = ScenePaths(out)
+        if scene.has_cameras and scene.cameras().path != out / TRANSFORMS:
+            raise InputError(f"{out}: is a scene with other cameras; choose another folder with `out`")
+
+    def make(
+        self, splat: Path, up: Sequence[float] | None, keep_axes: bool, overwrite: bool, progress: Progress,
+        **sizes: Any,
+    ) -> tuple[Cameras, Coverage]:  # fmt: skip
+        """Choose cameras for a splat and render their views; with ``keep_axes`` up is in the axes of the file, and
+        ``sizes`` are options of ``choose_cameras``."""
+        source = splat_source(splat)
+        gaussians = load_gaussians(source.path)
+        if keep_axes and source.kind.axis is not None:
+            turned = source.kind.turned(gaussians)
+            own = up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
+            up = source.kind.turned_direction(own)
+        cameras = choose_cameras(gaussians, up=up, progress=progress, **sizes)
+        return cameras, save_views(gaussians, cameras, self.folder, overwrite, progress)
 
 
 def _images_of_views(folder: Path) -> list[str]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,28 +16,69 @@ from torch.nn.functional import normalize
 
 from scoup.base import InputError, Progress, ScoupError, no_progress, reported
 from scoup.extract import constants
+from scoup.extract.own_views import SHEET
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter
 from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
-from scoup.io import ScenePaths, load_cameras, load_gaussians, read_points, spread_directions
+from scoup.io import (
+    RegionManifest,
+    RegionStore,
+    ScenePaths,
+    load_cameras,
+    load_gaussians,
+    read_points,
+    spread_directions,
+)
 from scoup.raster import prepare_gaussians
 from scoup.scene import Camera, Gaussians, nearest_points
-from scoup.uplift import Verdict, fit_problem, measure_fit
+from scoup.uplift import measure_fit
 
 
 def total_wanted(text: str | None, there: int) -> int | None:
-    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text.
-
-    Example:
-        >>> from scoup.extract.photograph_choice import total_wanted
-        >>> total_wanted("+40", 58)
-        98
-    """
+    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text."""
     if text is None:
         return None
     if not re.fullmatch(r"\+?0*[1-9]\d{0,6}", text):
         raise InputError(f"invalid views {text!r}; expected a number such as 60, more as +40, or all")
     return int(text) + there * text.startswith("+")
+
+
+@dataclass(frozen=True)
+class PhotographChoice:
+    """The number of photographs of a scene to choose, and those that were chosen before."""
+
+    scene: Path
+    photographs: Sequence[Photograph]
+    total: int | None
+    """With those there; None: as many as add something."""
+    there: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, scene: Path, photographs: Sequence[Photograph], views: str | None, folder: Path, overwrite: bool,
+        is_part: bool,
+    ) -> PhotographChoice | None:  # fmt: skip
+        """Return the choice for an extraction into a folder; None takes all. ``views`` is a number, more beside those
+        chosen before ("+40"), or "all"; None takes all of few."""
+        before = None if overwrite else RegionManifest.read(folder)
+        there = () if before is None else before.views
+        begun = before is not None and not there  # with all
+        few = len(photographs) <= constants.FEW or (scene / SHEET).exists()  # own views are few
+        if views == "all" or (views is None and (few or begun)):
+            return None
+        total = total_wanted(views, len(there))
+        if views is not None and views.startswith("+"):
+            if is_part:
+                raise InputError("pass the number of all photographs as `views` with `part`, not of more")
+            if before is None:
+                raise InputError(f"{folder}: contains no regions to add to; pass `views={views[1:]}`")
+            if len(RegionStore.open(folder).views(there)) < len(there):
+                total = len(there)  # the same command was interrupted
+        return cls(scene, photographs, total, there)
+
+    def choose(self, **options: Any) -> list[Photograph]:
+        """Return the photographs; options and errors as of ``choose_photographs``."""
+        return choose_photographs(self.scene, self.photographs, self.total, there=self.there, **options)
 
 
 def choose_photographs(
@@ -155,8 +198,8 @@ def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaus
         return points_as_gaussians(read_points(cameras_of.path)[0])
     gaussians = load_gaussians(source.path)
     fit = measure_fit(gaussians, cameras, source.preset)
-    if fit.verdict is Verdict.HOPELESS:
-        raise InputError(fit_problem(fit, cameras, source.path))
+    if fit.is_hopeless:
+        raise InputError(fit.problem(cameras, source.path))
     return gaussians
 
 

@@ -149,6 +149,12 @@ def embed_masks(
     }
 
 
+def embed_image(image: NDArray[np.uint8], embedder: Embedder) -> Tensor:
+    """Return the unit vector [D] float32 of a whole image [H, W, 3] uint8."""
+    whole = Masks.from_dense(np.ones((1, *image.shape[:2]), np.bool_))
+    return embed_masks(image, {"m": whole}, embedder)["m"][0]
+
+
 def _painted(masks: Masks, photograph: Pixels) -> NDArray[np.int32]:
     labels = paint(masks)
     return labels if photograph.masked is None else np.where(photograph.masked, np.int32(-1), labels)

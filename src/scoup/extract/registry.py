@@ -13,7 +13,7 @@ from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
-from scoup.models import ModelEntry, embedder_table, open_sam, segmenter_table
+from scoup.models import CONCEPTS, ModelEntry, embedder_table, open_sam, segmenter_table
 
 
 def _open_sam(
@@ -25,6 +25,15 @@ def _open_sam(
 
 SEGMENTERS = segmenter_table(_open_sam, felzenszwalb.ENTRY)
 EMBEDDERS = embedder_table(DenseEmbedder)
+
+
+def model_tables() -> dict[str, list[dict[str, str]]]:
+    """Return the rows of the tables of segmenters, embedders and models with words, for people."""
+    tables = {"segmenters": SEGMENTERS, "embedders": EMBEDDERS, "concepts": CONCEPTS}
+    return {
+        title: [{**one.cells(), "weights": one.weights(), "what it is": one.help} for one in table.values()]
+        for title, table in tables.items()
+    }
 
 
 def open_segmenter(

@@ -21,6 +21,7 @@ from scoup.field.code_sums import (
     code_scores,
     inverse_code_norms,
 )
+from scoup.scene import rows_of
 
 TEMPERATURE = 10.0
 MOST_CHANNELS = 18
@@ -79,6 +80,19 @@ class FieldCodes:
         """Return the products [S, L, Q] of the atoms with vectors [Q, D]."""
         return torch.stack([atom_products(atoms, vectors) for atoms in self.codebook])
 
+    def cosines(self, canonical: Tensor, inverse_norms: Tensor) -> GaussianCosines:
+        """Compare the codes, whose norms are known, with canonical phrases [P, D]."""
+        best = best_code_cosines(self.indices, self.weights, inverse_norms, self.atom_scores(canonical))
+        return GaussianCosines(self, inverse_norms, best)
+
+    def rows(self, chosen: Tensor | slice) -> FieldCodes:
+        """Return the codes of some Gaussians."""
+        return FieldCodes(rows_of(self.indices, chosen), self.weights[chosen], self.codebook)
+
+    def cpu(self) -> FieldCodes:
+        """Return the codes on the CPU."""
+        return FieldCodes(self.indices.cpu(), self.weights.cpu(), self.codebook.cpu())
+
 
 @dataclass(frozen=True, eq=False)
 class GaussianCosines:
@@ -87,14 +101,6 @@ class GaussianCosines:
     codes: FieldCodes
     inverse_norms: Tensor  # [N, S]
     best: Tensor  # [N, S]
-
-    @classmethod
-    def of(cls, codes: FieldCodes, inverse_norms: Tensor, canonical: Tensor) -> GaussianCosines:
-        """Compare codes with canonical phrases [P, D]."""
-        scores = codes.atom_scores(canonical)
-        return cls(
-            codes, inverse_norms, best_code_cosines(codes.indices, codes.weights, inverse_norms, scores)
-        )
 
     @property
     def nbytes(self) -> int:

@@ -17,9 +17,9 @@ from scoup import raster
 from scoup.base import InputError, check_arguments, counted
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
-from scoup.field.cache import Cache
+from scoup.field.cache import Cache, state_of
 from scoup.field.container import field_damage_named
-from scoup.field.cosines import FieldCodes, GaussianCosines
+from scoup.field.cosines import FieldCodes, PixelCosines, pixel_relevancy
 from scoup.field.field_info import FieldInfo, check_parts
 from scoup.field.renders import Vectors
 from scoup.field.thing_table import NameTable, ThingTable
@@ -226,7 +226,7 @@ class Field:
 
     def render_codes(self, camera: Camera | str | int) -> Tensor:
         """Render the coefficients of every level, [S, H, W, L] float32."""
-        return renders.render_codes(self.project(camera), self.codes)
+        return raster.render_codes(self.project(camera), self.code_indices, self.code_weights, self.n_atoms)
 
     def render_features(self, camera: Camera | str | int, level: str | int) -> Tensor:
         """Render decoded features of one level, [H, W, D] float32, unit norm or, where nothing is rendered, zero."""
@@ -252,6 +252,18 @@ class Field:
         vectors = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
         return renders.fresh_relevancy(self.project(camera), self.codes, *vectors)
 
+    def view_relevancy(
+        self, projection: raster.Projection, cache: Cache, queries: Vectors, canonical: Vectors
+    ) -> Tensor:
+        """Return the relevancy of every pixel of a projection, as ``relevancy`` does; ``cache`` is of this view, and
+        keeps what further queries reuse."""
+        vectors = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
+        parts = self.parts()
+        since = state_of(parts)
+        maps, known = pixel_relevancy(projection, self.codes, *vectors, cache.get(PixelCosines, parts))
+        cache.keep(PixelCosines, known, parts, since)
+        return maps
+
     def gaussian_relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
         """Return the relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
 
@@ -260,7 +272,7 @@ class Field:
         queries, canonical = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
         norms = self.kept("inverse norms", self.codes.inverse_norms)
         key = "largest cosines", canonical.cpu().numpy().tobytes()
-        return self.kept(key, lambda: GaussianCosines.of(self.codes, norms, canonical)).relevancy(queries)
+        return self.kept(key, lambda: self.codes.cosines(canonical, norms)).relevancy(queries)
 
     def gaussian_features(self, level: str | int) -> Tensor:
         """Return the decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.

@@ -11,10 +11,9 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError
 from scoup.field.cosines import FieldCodes, relevancy
-from scoup.scene import Camera, Gaussians, query_vectors
+from scoup.scene import query_vectors
 
 GAUSSIANS_AT_A_TIME = 65536
-LEAST_ALPHA = 0.5  # of a pixel with a depth
 
 Vectors: TypeAlias = "Tensor | ArrayLike"
 
@@ -43,27 +42,11 @@ def fresh_relevancy(
     return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
 
 
-def render_codes(projection: raster.Projection, codes: FieldCodes) -> Tensor:
-    """Render the coefficients of every level, [S, H, W, L] float32."""
-    return raster.render_codes(projection, codes.indices, codes.weights, codes.codebook.shape[1])
-
-
 def render_features(projection: raster.Projection, codes: FieldCodes, level: int) -> Tensor:
     """Render decoded features of one level, [H, W, D] float32, unit norm or, where nothing is rendered, zero."""
     chosen = slice(level, level + 1)
     indices, weights = codes.indices[:, chosen], codes.weights[:, chosen]
     return raster.render_features(projection, indices, weights, codes.codebook[chosen])[0]
-
-
-def render_depth(projection: raster.Projection, gaussians: Gaussians, camera: Camera) -> Tensor:
-    """Return the mean distance along the view direction by blending weights, in world units, [H, W] float32 on the CPU;
-    NaN where alpha is below ``LEAST_ALPHA``.
-    """
-    means = gaussians.means.double()
-    row = camera.viewmat[2].to(means.device)
-    distances = (means @ row[:3] + row[3]).float().nan_to_num(0.0, 0.0, 0.0)
-    image, alpha = raster.render_channels(projection, distances[:, None])
-    return torch.where(alpha >= LEAST_ALPHA, image[..., 0] / alpha.clamp(min=1e-9), torch.nan).cpu()
 
 
 def gaussian_features(codes: FieldCodes, level: int) -> Tensor:

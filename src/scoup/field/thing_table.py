@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -113,12 +112,6 @@ TENSORS = tuple(attribute.name for attribute in fields(ThingTable) if attribute.
 """The attributes of a table that are tensors."""
 
 
-def number_of(texts: Iterable[str], text: str) -> int | None:
-    """Return the position of a text among others, whatever its capitals; None if it is not there."""
-    same = text.casefold()
-    return next((number for number, other in enumerate(texts) if other.casefold() == same), None)
-
-
 @dataclass(frozen=True, eq=False)
 class NameTable:
     """M texts that a model looked for in photographs, and E votes of what it found for things."""
@@ -146,7 +139,8 @@ class NameTable:
 
     def number(self, text: str) -> int | None:
         """Return the position of a text, whatever its capitals; None if it was not looked for."""
-        return number_of(self.texts, text)
+        same = text.casefold()
+        return next((number for number, other in enumerate(self.texts) if other.casefold() == same), None)
 
     def votes_of(self, number: int, count: int) -> Tensor:
         """Return the votes of one text for each of ``count`` things, [count] float32."""

@@ -10,17 +10,16 @@ from scoup.query.ask import answers_of, asked_things
 from scoup.query.boxes import OrientedBox
 from scoup.query.catalog import related_objects
 from scoup.query.catalog_writing import draw_things, save_catalog
-from scoup.query.compare_files import save_comparison
+from scoup.query.compare_files import compare_captures
 from scoup.query.comparison import compare
-from scoup.query.drawings import drawing, heat_frames, placed_atoms
-from scoup.query.edits import SplatTable, edit_picture, edited
+from scoup.query.drawings import drawing, placed_atoms
+from scoup.query.edits import SceneEdit, SplatTable
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
 from scoup.query.label_writing import LabelFiles
 from scoup.query.labels import GaussianLabels
 from scoup.query.language_field import LanguageField, build
-from scoup.query.phrases import texts_of
 from scoup.query.place import Place
 from scoup.query.presence import Certainty
 from scoup.query.question import Question, TextVectors, warn_of_another_model
@@ -28,7 +27,7 @@ from scoup.query.refinement import refine
 from scoup.query.select import Reshaping
 from scoup.query.thing_judge import AskedThings, ThingIndex
 from scoup.query.thing_names import named_things
-from scoup.query.things import Thing, things_of_table
+from scoup.query.things import Thing
 from scoup.query.view_answer import ViewAnswer, mask_box
 from scoup.query.votes import level_thresholds, select_by_relevancy
 
@@ -48,6 +47,7 @@ __all__ = [
     "Place",
     "Question",
     "Reshaping",
+    "SceneEdit",
     "SplatTable",
     "TextVectors",
     "Thing",
@@ -57,11 +57,9 @@ __all__ = [
     "asked_things",
     "build",
     "compare",
+    "compare_captures",
     "draw_things",
     "drawing",
-    "edit_picture",
-    "edited",
-    "heat_frames",
     "level_thresholds",
     "mask_box",
     "named_things",
@@ -70,9 +68,6 @@ __all__ = [
     "refine",
     "related_objects",
     "save_catalog",
-    "save_comparison",
     "select_by_relevancy",
-    "texts_of",
-    "things_of_table",
     "warn_of_another_model",
 ]

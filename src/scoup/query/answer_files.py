@@ -12,12 +12,15 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
-from scoup.base import InputError, counted, unique_slugs, write_npz
+from scoup.base import InputError, Progress, counted, reported, unique_slugs, write_npz
+from scoup.field import Field
 from scoup.io import save_png
-from scoup.pictures import Picture, answer_overlay, as_picture, contact_sheet, heat_legend
+from scoup.pictures import Picture, answer_overlay, as_picture, contact_sheet, heat_legend, save_frames
 from scoup.query.coco import CocoAnnotations
+from scoup.query.drawings import Motion, heat_frames
+from scoup.query.place import Place
 from scoup.query.view_answer import ViewAnswer
-from scoup.scene import Camera
+from scoup.scene import Camera, Cameras
 
 PICTURES = ("heat", "mask", "overlay")
 COCO = "coco.json"
@@ -27,6 +30,7 @@ MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
 VIEWS_BESIDE = 4  # in a row, of one text
 WIDTH, HEIGHT = 1600, 3600  # of a sheet, in pixels, approximately
 NARROWEST, WIDEST = 320, 960  # of a cell, in pixels
+FRAMES, FRAMES_PER_SECOND = 120, 24.0  # of a video
 LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
@@ -44,6 +48,7 @@ class AnswerFiles:
         pictures: "sheet", "all" (each picture by itself, too) or "none".
         npz: write relevancy and masks of each view as arrays.
         coco: write the masks of all views as COCO's JSON.
+        video: of each text's heat map; "turntable": those of texts without a place are left out.
     """
 
     def __init__(
@@ -53,6 +58,7 @@ class AnswerFiles:
         pictures: Literal["sheet", "all", "none"] = "sheet",
         npz: bool = False,
         coco: bool = False,
+        video: Motion | Literal["none"] = "none",
     ) -> None:
         self._folders = dict(
             zip((c.name for c in cameras), unique_slugs(c.stem for c in cameras), strict=True)
@@ -64,12 +70,15 @@ class AnswerFiles:
         if coco and len(set(texts)) < len(texts):
             raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
         self._coco = CocoAnnotations(tuple(texts)) if coco else None
+        self._motion: Motion | Literal["none"] = video
+        self._videos = [] if video == "none" else [f"{name}_{video}.mp4" for name in unique_slugs(texts)]
         singles = [name for of_text in self._singles for name in of_text.values()] + [NPZ] * npz
         # Of all files, within their folder.
         self.names = [
             *self.sheet_names,
             *[COCO] * coco,
             *(f"{folder}/{name}" for folder in self._folders.values() for name in singles),
+            *self._videos,
         ]
 
     @property
@@ -106,6 +115,19 @@ class AnswerFiles:
             masks = [answer.mask.numpy() for answer in answers]
             size = (camera.width, camera.height)
             self._coco.add(camera.name, size, masks, [answer.score or 0.0 for answer in answers])
+
+    def add_videos(
+        self, field: Field, places: Sequence[Place], cameras: Cameras, hidden: Path, progress: Progress
+    ) -> list[str]:
+        """Write the videos of the texts, which are at ``places``; return their names."""
+        written = []
+        for name, place in zip(self._videos, places, strict=True):
+            if self._motion == "none" or (self._motion == "turntable" and place.position is None):
+                continue
+            frames = heat_frames(field, place, cameras, self._motion, FRAMES)
+            save_frames(reported(frames, "video", FRAMES, progress), hidden / name, FRAMES_PER_SECOND)
+            written.append(name)
+        return written
 
     def finish(self, hidden: Path) -> None:
         """Write the files of all views together."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -22,8 +23,9 @@ from scoup.query.catalog_writing import (
     in_words,
     viewing_cameras,
 )
-from scoup.query.comparison import KINDS, Array, Change, Comparison, scale_of
+from scoup.query.comparison import KINDS, Array, Change, Comparison, compare, scale_of
 from scoup.query.field_view import FieldView
+from scoup.query.language_field import LanguageField
 from scoup.scene import Camera
 
 RECORD = "compare.json"
@@ -32,6 +34,15 @@ TITLES: dict[str, str] = {
     **{kind: kind.capitalize() for kind in KINDS},
     "unseen": "In one capture only, at a place that the other did not see",
 }
+
+
+def compare_captures(
+    old: LanguageField, new: LanguageField, words: Sequence[str], transform: Array | None, folder: Path, **options: Any
+) -> tuple[Comparison, list[str]]:  # fmt: skip
+    """Compare two fields (``compare``), and write the files with options of ``save_comparison``."""
+    comparison = compare(old, new, words, transform)
+    old.encoder.close()  # models are large
+    return comparison, save_comparison(old, new, comparison, folder, **options)
 
 
 def save_comparison(
@@ -44,12 +55,7 @@ def save_comparison(
     progress: Progress = no_progress,
 ) -> list[str]:
     """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures.
-
-    Args:
-        metres_per_unit: length of the old capture's unit.
-        overwrite: replace existing files.
-        progress: called for the stage "pictures".
-    """
+    ``metres_per_unit`` is the length of the old capture's unit."""
     files = [RECORD, PAGE]
     with staged(folder, files, overwrite) as hidden:
         record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)

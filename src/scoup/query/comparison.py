@@ -21,12 +21,13 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.base import InputError, ScoupWarning
-from scoup.field import NO_THING, Field, render_depth
+from scoup.field import NO_THING, Field
 from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.language_field import LanguageField
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
+from scoup.query.view_answer import render_depth
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, counted, spread
 from scoup.field import Field
-from scoup.io import PlyTable, splat_source
+from scoup.io import PlyTable, save_gaussians, splat_source
 from scoup.pictures import Picture, as_picture, contact_sheet, mask_overlay
 from scoup.query.field_view import FieldView
 from scoup.scene import SH_C0, Camera, Gaussians
@@ -34,15 +35,11 @@ def edited(
     color: tuple[float, float, float] = (1.0, 0.36, 0.16),
     opacity: float = 0.15,
 ) -> Gaussians:
-    """Edit the Gaussians in a selection.
+    """Edit the Gaussians in a selection [N] boolean.
 
-    Args:
-        gaussians: N of them.
-        mask: [N] boolean, the selection.
-        edit: "keep" keeps only the selection, "remove" all others; "recolor" gives the selection a colour, with its
-            light and shade as far as they do not depend on the direction of view; "fade" scales its opacities.
-        color: of "recolor": red, green and blue, 0 to 1.
-        opacity: of "fade": factor, 0 to 1.
+    "keep" keeps only the selection, "remove" all others; "recolor" gives the selection a ``color`` (red, green, blue, 0
+    to 1), with its light and shade as far as they do not depend on the direction of view; "fade" scales its opacities
+    by ``opacity``, 0 to 1.
     """
     if not 0 <= opacity <= 1 or not all(0 <= value <= 1 for value in color):
         raise InputError(f"opacity and colour must be 0 to 1, got {opacity} and {list(color)}")
@@ -92,6 +89,52 @@ def best_camera(field: Field, mask: Tensor, cameras: Sequence[Camera]) -> Camera
         scale = min(1.0, TRIED_SIDE / max(camera.width, camera.height))
         shares.append((float(FieldView(field, camera, scale).shares(mask)[0].mean()), camera))
     return max(shares, key=lambda pair: pair[0])[1]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneEdit:
+    """An edit of the Gaussians of a field in a selection; "state" marks them for SuperSplat, and changes nothing."""
+
+    field: Field
+    mask: Tensor  # [N] boolean
+    edit: Edit | Literal["state"]
+    color: tuple[float, float, float]
+    opacity: float
+
+    @cached_property
+    def left(self) -> Gaussians:
+        """The Gaussians afterwards."""
+        if self.edit == "state":
+            return self.field.gaussians
+        return edited(self.field.gaussians, self.mask, self.edit, self.color, self.opacity)
+
+    def picture(self, cameras: Sequence[Camera], title: str) -> Picture:
+        """Draw before, selection and after (``edit_picture``)."""
+        return edit_picture(self.field, self.left, self.mask, cameras, title)
+
+    def save(self, path: Path, splat: Path | None = None, overwrite: bool = False) -> int:
+        """Write what is left, a splat or a field (.scoup); return its number of Gaussians. ``copies_rows`` is of the
+        file of ``splat``, by default the one the field names."""
+        mask, left = {"keep": self.mask, "remove": ~self.mask}.get(self.edit), self.left
+        if self.copies_rows(path):
+            rows = SplatTable.of(self.field, splat)
+            if self.edit == "state":
+                table = rows.with_state(self.mask)
+            else:
+                table = rows.edited(self.mask, left) if mask is None else rows.select(mask)
+            table.write(path, overwrite)
+            return len(table)
+        if path.suffix.lower() == ".scoup":
+            field = self.field.with_gaussians(left) if mask is None else self.field[mask]
+            field.save(path, overwrite)
+        else:
+            save_gaussians(left.to("cpu"), path, overwrite)
+        return len(left)
+
+    @staticmethod
+    def copies_rows(path: Path) -> bool:
+        """Return whether a file of this name is a PLY with the rows and columns of the splat."""
+        return path.suffix.lower() == ".ply" and not path.name.lower().endswith(".compressed.ply")
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,19 +6,11 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.field import (
-    Cache,
-    Field,
-    PixelCosines,
-    Vectors,
-    checked_vectors,
-    pixel_relevancy,
-    render_codes,
-    state_of,
-)
+from scoup.field import Cache, Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import PointSets
@@ -91,15 +83,9 @@ class FieldView:
             masks[number] = image[..., column] > constants.PIXEL_SHARE * image[..., whole_column]
         return masks
 
-    def relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
+    def relevancy(self, queries: Tensor | ArrayLike, canonical: Tensor | ArrayLike) -> Tensor:
         """Return the relevancy of every pixel, [S, Q, H, W] float32; see ``field.relevancy``."""
-        field, parts = self.field, self.field.parts()
-        queries, canonical = checked_vectors(field.codes, field.embedding_model, queries, canonical)
-        since = state_of(parts)
-        known: PixelCosines | None = self.cache.get(PixelCosines, parts)
-        maps, known = pixel_relevancy(self.projection, field.codes, queries, canonical, known)
-        self.cache.keep(PixelCosines, known, parts, since)
-        return maps
+        return self.field.view_relevancy(self.projection, self.cache, queries, canonical)
 
     @cached_property
     def renders(self) -> ViewRenders:
@@ -108,7 +94,8 @@ class FieldView:
 
     def render_codes(self) -> Tensor:
         """Render the coefficients of every level, [S, H, W, L] float32."""
-        return render_codes(self.projection, self.field.codes)
+        codes = self.field.codes
+        return raster.render_codes(self.projection, codes.indices, codes.weights, self.field.n_atoms)
 
     def shares(self, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return the contribution of the Gaussians in a mask [N] boolean to each pixel, and alpha, [H, W] each."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
-from scoup.field import Field, NameTable, number_of
+from scoup.field import Field, NameTable
 from scoup.models import (
     CANONICAL_PHRASES,
     LEAST_WORDS,
@@ -259,7 +259,7 @@ def near_names(
         vectors: of the texts.
         encode: ``encoder.encode`` with a cache.
     """
-    if all(number_of(names.texts, text) is not None for text in vectors.texts):
+    if all(names.number(text) is not None for text in vectors.texts):
         return ()
     known = tuple(text for row in names.rows.unique() if (text := names.texts[row]) in encoder)
     if not known:

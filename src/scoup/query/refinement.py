@@ -26,7 +26,7 @@ from scoup.query.language_field import LanguageField
 from scoup.query.question import literal
 from scoup.query.thing_judge import thing_index
 from scoup.scene import Camera, Cameras, Detections
-from scoup.uplift import name_things
+from scoup.uplift import name_field
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +98,8 @@ def refine(
         image = _photograph(camera)
         rendered += image is None
         views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
-    names = name_things(field.gaussians, table, views, words, field.raster_preset)
     looked_at = tuple(camera.name for camera, _ in views)
-    return Refined(field.with_names(names), words, looked_at, rendered, time.perf_counter() - started)
+    return Refined(name_field(field, words, views), words, looked_at, rendered, time.perf_counter() - started)
 
 
 def photographed_cameras(field: Field) -> Cameras:

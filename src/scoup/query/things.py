@@ -64,6 +64,34 @@ class Thing:
     n_regions: int | None
     """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
 
+    @classmethod
+    def of_table(cls, field: Field, numbers: Sequence[int]) -> list[Thing]:
+        """Return the instances of a field with some numbers, but for those without a usable Gaussian."""
+        table = field.thing_table
+        assert table is not None
+        members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
+        index_of = torch.full((len(table) + 1,), -1, dtype=torch.int64)
+        index_of[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
+        for owners in table.owners.cpu().T:
+            indices = index_of[owners.long()]  # NO_THING reads the last, -1
+            rows = true_rows(indices >= 0)
+            order = indices[rows].argsort(stable=True)
+            of_thing, counts = indices[rows].unique(return_counts=True)
+            for number, gaussians in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
+                members[number] = gaussians
+        parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
+        return [
+            replace(
+                thing,
+                number=number,
+                level=field.levels[int(table.levels[number])],
+                parent=None if parents[number] < 0 else parents[number],
+                n_regions=n_regions[number],
+            )
+            for number, thing in zip(numbers, _parts(field, members, ""), strict=True)
+            if thing is not None
+        ]
+
     @property
     def n_gaussians(self) -> int:
         """Return the number of Gaussians."""
@@ -130,7 +158,7 @@ def all_things(field: Field) -> list[Thing]:
         counts, voted = table.sums(torch.ones(len(table.owners))), voted_names(field)
         return [
             replace(thing, text=names[0], score=score)
-            for thing in things_of_table(field, (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist())
+            for thing in Thing.of_table(field, (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist())
             for names, score in [voted.get(thing.number or 0, (("",), None))]
         ]
 
@@ -152,7 +180,7 @@ def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
     scores = dict(zip(answer.things, answer.scores, strict=True))
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])
-        for thing in things_of_table(field, answer.things)
+        for thing in Thing.of_table(field, answer.things)
     ]
 
 
@@ -171,37 +199,9 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
         return thing
     (score,) = known.text_scores(one, every, named_texts(table, one))
     best_parts = [
-        replace(part, text=text, score=score(fits[best], best)) for part in things_of_table(field, [best])
+        replace(part, text=text, score=score(fits[best], best)) for part in Thing.of_table(field, [best])
     ]
     return best_parts[0] if best_parts else thing
-
-
-def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
-    """Return the instances of a field with some numbers, but for those without a usable Gaussian."""
-    table = field.thing_table
-    assert table is not None
-    members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
-    index_of = torch.full((len(table) + 1,), -1, dtype=torch.int64)
-    index_of[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
-    for owners in table.owners.cpu().T:
-        indices = index_of[owners.long()]  # NO_THING reads the last, -1
-        rows = true_rows(indices >= 0)
-        order = indices[rows].argsort(stable=True)
-        of_thing, counts = indices[rows].unique(return_counts=True)
-        for number, gaussians in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
-            members[number] = gaussians
-    parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
-    return [
-        replace(
-            thing,
-            number=number,
-            level=field.levels[int(table.levels[number])],
-            parent=None if parents[number] < 0 else parents[number],
-            n_regions=n_regions[number],
-        )
-        for number, thing in zip(numbers, _parts(field, members, ""), strict=True)
-        if thing is not None
-    ]
 
 
 def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | None]:

@@ -12,15 +12,18 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base import InputError, card, rounded_vector
-from scoup.field import Field, render_depth
+from scoup.field import Field
 from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query import constants
 from scoup.query.answer import Answer
-from scoup.raster import Projection, render_colors
-from scoup.scene import Camera
+from scoup.raster import Projection, render_channels, render_colors
+from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+
+LEAST_ALPHA = 0.5  # of a pixel with a depth
 
 
 class ViewRenders:
@@ -251,3 +254,14 @@ def mask_position(mask: Tensor, depth: Tensor, camera: Camera) -> Tensor | None:
     seen = torch.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, torch.ones(len(rows))], 1).double()
     rotation, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     return ((seen * distances[:, None] - shift) @ rotation).median(0).values
+
+
+def render_depth(projection: Projection, gaussians: Gaussians, camera: Camera) -> Tensor:
+    """Return the mean distance along the view direction by blending weights, in world units, [H, W] float32 on the CPU;
+    NaN where alpha is below ``LEAST_ALPHA``.
+    """
+    means = gaussians.means.double()
+    row = camera.viewmat[2].to(means.device)
+    distances = (means @ row[:3] + row[3]).float().nan_to_num(0.0, 0.0, 0.0)
+    image, alpha = render_channels(projection, distances[:, None])
+    return torch.where(alpha >= LEAST_ALPHA, image[..., 0] / alpha.clamp(min=1e-9), torch.nan).cpu()

@@ -20,10 +20,9 @@ import torch
 from torch import Tensor
 
 from scoup.base import brief, native_core
-from scoup.field import Field, FieldCodes, GaussianCosines
+from scoup.field import Field
 from scoup.query import constants
 from scoup.query.question import Question
-from scoup.scene import rows_of
 
 BINS = 100
 MOST_TEXTS, MOST_BYTES = 16, 192 << 20
@@ -119,10 +118,10 @@ class SampledVotes:
     def __init__(self, field: Field, question: Question) -> None:
         rows = true_rows(field.coded())
         rows = rows[:: max(1, -(-len(rows) // constants.MOST_SAMPLED))]
-        codes = FieldCodes(rows_of(field.code_indices, rows), field.code_weights[rows], field.codebook)
+        codes = field.codes.rows(rows)
         canonical = question.canonical.to(field.codebook.device)
         self._coded = codes.coded()
-        self._cosines = GaussianCosines.of(codes, codes.inverse_norms(), canonical)
+        self._cosines = codes.cosines(canonical, codes.inverse_norms())
         self.best_fits = self.fits(question.everyday)
 
     @property

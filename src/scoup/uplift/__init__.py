@@ -6,47 +6,36 @@ in this order. Region sums are files in one folder, so that views can be shared 
 
 from scoup.uplift.field_build import build, check_scene, pack
 from scoup.uplift.field_transfer import transfer
-from scoup.uplift.fit import Verdict, fit_problem, measure_fit
-from scoup.uplift.foreign import field_from_features, field_from_langsplat, langsplat_levels
-from scoup.uplift.naming import name_field, name_things
+from scoup.uplift.fit import measure_fit
+from scoup.uplift.foreign import foreign_field
+from scoup.uplift.naming import name_field
 from scoup.uplift.provenance import FieldSources, embedding_source
-from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums, region_sums
+from scoup.uplift.rasterise import cameras_with_regions, open_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions
-from scoup.uplift.settings import BUILD_PRESETS, BuildSettings, build_settings
-from scoup.uplift.storage.array_file import has_region_sums, stored_size
-from scoup.uplift.stored_sums import RegionSums, Rows
+from scoup.uplift.settings import BuildSettings, build_settings
+from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.things import find_things
 from scoup.uplift.voting import GaussianCodes, vote
 
 __all__ = [
-    "BUILD_PRESETS",
     "BuildSettings",
     "FieldSources",
     "GaussianCodes",
     "RegionEmbeddings",
     "RegionSums",
-    "Rows",
-    "Verdict",
-    "add_views",
     "build",
     "build_settings",
     "cameras_with_regions",
     "check_scene",
     "code_regions",
     "embedding_source",
-    "field_from_features",
-    "field_from_langsplat",
     "find_things",
-    "fit_problem",
-    "has_region_sums",
-    "langsplat_levels",
+    "foreign_field",
     "measure_fit",
     "name_field",
-    "name_things",
     "open_sums",
     "pack",
     "region_sums",
-    "stored_size",
     "transfer",
     "vote",
 ]

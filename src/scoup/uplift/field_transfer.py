@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base import InputError, check_arguments
-from scoup.field import NO_THING, Field, Own
+from scoup.field import NO_THING, Field
 from scoup.scene import Gaussians, signed
 from scoup.uplift import constants
+
+Own = TypeVar("Own", bound=Field)
 
 
 def transfer(field: Own, gaussians: Gaussians, *, geometry_path: str | Path | None = None) -> Own:

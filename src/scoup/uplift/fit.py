@@ -125,6 +125,10 @@ class Fit:
         is_wrong = np.median(values) < LIKE or len(self.mistaken) > few or self.matches
         return Verdict.HOPELESS if is_wrong and len(values) >= ENOUGH else Verdict.DOUBTFUL
 
+    @property
+    def is_hopeless(self) -> bool:
+        return self.verdict is Verdict.HOPELESS
+
     def describe(self) -> dict[str, Any]:
         """Return verdict, number of views tried, and medians of the measurements as JSON values."""
         compared = self.compared.any()
@@ -162,6 +166,22 @@ class Fit:
         names = [_SAME_NAMES] if self.mistaken else []
         return "; ".join([*names, _SAME_SCENE, *([_FOCAL] if self.unlike or self.matches else [])])
 
+    def problem(self, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
+        """Return the problem with the cameras, or that it was not judged, with remedies; "" for a good fit.
+
+        ``splat`` is the file of the Gaussians, for messages.
+        """
+        where = "the splat " if splat is None else f"{splat}: "
+        verdicts = {Verdict.HOPELESS: "does not fit", Verdict.DOUBTFUL: "may not fit"}
+        if said := verdicts.get(self.verdict):
+            return f"{where}{said} the cameras: {self.reason()}; {self.remedies()}"
+        if self.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
+            return (
+                f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
+                "(unreadable, or without detail); check the photographs"
+            )
+        return ""
+
 
 def check_fit(
     gaussians: Gaussians,
@@ -176,25 +196,11 @@ def check_fit(
     ``splat`` is the file of the Gaussians, for messages.
     """
     fit = measure_fit(gaussians, cameras, raster_preset, backend)
-    problem = fit_problem(fit, cameras, splat)
-    if fit.verdict is Verdict.HOPELESS:
+    problem = fit.problem(cameras, splat)
+    if fit.is_hopeless:
         raise InputError(f"{problem}; {OVERRIDE}")
     if problem:
         warnings.warn(problem, ScoupWarning, stacklevel=3)
-
-
-def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
-    """Return the problem with a fit of cameras, or that it was not judged, with remedies; "" for a good fit."""
-    where = "the splat " if splat is None else f"{splat}: "
-    verdicts = {Verdict.HOPELESS: "does not fit the cameras: ", Verdict.DOUBTFUL: "may not fit the cameras: "}
-    if said := verdicts.get(fit.verdict):
-        return f"{where}{said}{fit.reason()}; {fit.remedies()}"
-    if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
-        return (
-            f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
-            "(unreadable, or without detail); check the photographs"
-        )
-    return ""
 
 
 def measure_fit(

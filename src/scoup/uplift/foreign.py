@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.base import VERSION, FileFormatError, InputError, Progress, no_progress, scratch_array
 from scoup.coding import decoded_cosines, encode, fit_codes
 from scoup.field import Field, FieldInfo
-from scoup.io import Decoder, read_langsplat
+from scoup.io import Decoder, load_gaussians, read_features, read_langsplat, splat_source
 from scoup.scene import LEAST_EMBEDDING, Gaussians, SparseCodes, index_dtype, normalise_embeddings
 from scoup.uplift.provenance import recorded_model
 
@@ -23,7 +23,28 @@ LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
 TOP_K = 4  # LangSplatV2's
 LEVELS = ("s", "m", "l")
+ARRAYS = (".npy", ".pt")  # of features
 _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
+
+
+def foreign_field(
+    source: Path, gaussians: Path | None, decode: Decoder | None, read: Callable[[Path], None], **options: Any
+) -> Field:
+    """Make a field of features of the splat ``gaussians``, one row per Gaussian (.npy, .pt); or of a checkpoint of
+    LangSplat or a relative, with those of the other levels beside it, which are passed to ``read``.
+
+    ``options`` are those that ``field_from_features`` and ``field_from_langsplat`` share.
+    """
+    if gaussians is not None and source.suffix.lower() in ARRAYS:
+        splat = splat_source(gaussians)
+        known, rows = load_gaussians(splat.path), read_features(source)
+        field = field_from_features(known, rows, raster_preset=splat.preset, **options)
+        field.geometry_path = splat.path
+        return field
+    paths = langsplat_levels(source)
+    for path in paths:
+        read(path)
+    return field_from_langsplat(paths, decode=decode, **options)
 
 
 def field_from_features(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -42,21 +63,13 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     """Make a field of one feature per Gaussian, from any system: sparse codes of the features, without a vote.
 
     A codebook per level is learned from some of the rows (``fit_codes``), and all rows are coded by it. Only directions
-    count. Rows that are zero or not finite have no code.
+    count. Rows that are zero or not finite have no code. The provenance of the field has, per level, the mean cosine of
+    decoded codes and features.
 
     Args:
-        gaussians: N of them.
         features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one.
-        n_atoms: L, of each codebook.
-        k: K, most atoms of a code.
         embedding_model, words: as for ``build``.
         levels: S names; by default "m", or s, m, l.
-        seed: of the choice of rows and of the codebook.
-        raster_preset: rasteriser constants.
-        progress: called for the stages "coding" and "codes".
-
-    Returns:
-        A field whose provenance has, per level, the mean cosine of decoded codes and features.
     """
     rows = features if isinstance(features, (np.ndarray, Tensor)) else np.asarray(features)
     if rows.ndim == 2:
@@ -103,8 +116,6 @@ def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one
     Args:
         paths: one checkpoint per level, fine to coarse, of one splat.
         k: entries kept, as LangSplatV2's option topk in training.
-        embedding_model, words: as for ``build``; LangSplat trains with open_clip's ViT-B-16.
-        levels: names of the levels; by default "m", or s, m, l.
         decode: LangSplat's autoencoder (``langsplat_autoencoder.read_autoencoder``), which its features need.
         n_atoms, seed, progress: of codes of features.
     """

@@ -7,21 +7,19 @@ alone weighs little. A text is as present as the mean of its best scores says. M
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field import NameTable, ThingTable
+from scoup.field import Field, NameTable, ThingTable
 from scoup.scene import Camera, Detections, Gaussians
 from scoup.uplift import constants
 
-if TYPE_CHECKING:
-    from scoup.field import Own
-
+Own = TypeVar("Own", bound=Field)
 AT_A_TIME = 64  # things that are rendered together
 
 
@@ -145,16 +143,13 @@ def name_things(
     return count_votes(texts, counted)
 
 
-def name_field(
-    field: Own, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
-) -> Own:
-    """Return a field with things named by detections of texts in the photographs of its views (view -> detections); the
-    field itself where no view has any."""
+def name_field(field: Own, texts: Sequence[str], views: Sequence[tuple[Camera, Detections]]) -> Own:
+    """Return a field with things named by detections of texts in photographs; the field itself where it has no things,
+    or there are no views."""
     table = field.thing_table
-    views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
     if table is None or not views:
         return field
-    return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset, backend))
+    return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset))
 
 
 def presence_of(scores: Tensor) -> Tensor:

@@ -26,7 +26,6 @@ from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import constants
 from scoup.uplift.settings import BuildSettings, Scale, build_settings
-from scoup.uplift.storage.array_file import has_region_sums
 from scoup.uplift.stored_sums import RegionSums
 
 STAGE = "region sums"
@@ -96,7 +95,7 @@ def open_sums(
 
     Raises an InputError for a folder of another scene.
     """
-    if path is None or not has_region_sums(path):
+    if path is None or not RegionSums.are_in(path):
         return RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path, settings.scale)
     sums = RegionSums.open(path, writable=True)
     check_sums(sums, gaussians, regions, settings)

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -36,6 +36,7 @@ from scoup.uplift.storage.array_file import (
     SCENE,
     StoredArrays,
     read_arrays,
+    stored_files,
     view_file,
     view_files,
     write_arrays,
@@ -119,6 +120,11 @@ class RegionSums:
         means = gaussians.means.cpu()[order]
         return cls(gaussians.fingerprint(), order, levels, raster_preset, path, means, scale)
 
+    @staticmethod
+    def are_in(path: Path) -> bool:
+        """Return whether a folder contains region sums."""
+        return (path / f"{SCENE}{ENDING}").exists()
+
     @classmethod
     def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
         """Open kept sums, with their views in order of name. All bytes are read once, to compare checksums.
@@ -196,6 +202,25 @@ class RegionSums:
         tables = [entries.table for entries in self._require(view_name).parts]
         highest = np.max([table.max(0, initial=-1) for table in tables], axis=0)
         return (highest + 1).tolist()
+
+    def stored_size(self) -> tuple[int, int]:
+        """Return the number of views in the folder, also those that other processes added, and the bytes of all its
+        files."""
+        files = [] if self.path is None else stored_files(self.path)
+        return sum(file.stem != SCENE for file in files), sum(file.stat().st_size for file in files)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the facts as JSON values."""
+        return {
+            "kind": "region sums",
+            "gaussians": self.n_gaussians,
+            "levels": list(self.levels),
+            "raster_preset": self.raster_preset,
+            "scale": self.scale,
+            "views": len(self),
+            "bytes": self.bytes,
+            "fingerprint": self.fingerprint,
+        }
 
     def append(
         self, view_name: str, sums: ViewSums, camera: Camera | None = None, order: Tensor | None = None

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.field import Field, inverse_code_norms
-from scoup.scene import rows_of
+from scoup.field import Field
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +29,12 @@ class UnitCodes:
     @classmethod
     def of(cls, field: Field, rows: Tensor | slice = slice(None)) -> UnitCodes:
         """Return the unit codes of a field, or of some rows of it, on the CPU."""
-        indices, codebook = rows_of(field.code_indices.cpu(), rows), field.codebook.float().cpu()
-        weights = field.code_weights.cpu()[rows].float()
-        inverse_norms = inverse_code_norms(indices, weights, codebook)
+        codes = field.codes.cpu().rows(rows)
+        weights, inverse_norms = codes.weights.float(), codes.inverse_norms()
         lengths = weights.sum(-1) * inverse_norms
         confidence = torch.where(lengths > 0, 1 / lengths, 0.0).clamp(0, 1)
         unit = weights * inverse_norms[..., None]
-        return cls(indices, unit, confidence)
+        return cls(codes.indices, unit, confidence)
 
     def __len__(self) -> int:
         return len(self.indices)

@@ -33,7 +33,6 @@ from torch import Tensor
 from scoup.base import InputError, Progress, no_progress
 from scoup.coding import coding_backend, spherical_kmeans
 from scoup.scene import index_dtype, normalise_embeddings
-from scoup.uplift import Rows
 from scoup_lab.baselines.view_weights import ViewWeights, rendered
 
 _EPSILON = 1e-15  # of Adam, as in their code
@@ -84,7 +83,7 @@ class ViewTargets:
 def fit_joint_codes(
     views: Sequence[ViewWeights],
     embeddings: Sequence[Tensor],
-    rows: Rows,
+    rows: Sequence[Mapping[str, slice]],
     n_gaussians: int,
     settings: JointSettings = LANGSPLATV2,
     seed: int = 0,

@@ -8,11 +8,11 @@ nothing else.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from scoup.base import Entry, Progress, no_progress
-from scoup.uplift import BUILD_PRESETS, BuildSettings
+from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.joint_codes import LANGSPLATV2, JointSettings
@@ -25,7 +25,9 @@ class MethodSettings:
     """Settings of all methods."""
 
     seed: int = 0  # of all that is random
-    build: BuildSettings = BUILD_PRESETS["default"]  # of the sparse codes; methods may change some of it
+    build: BuildSettings = field(
+        default_factory=BuildSettings
+    )  # of the sparse codes; methods may change some of it
     autoencoder: AutoencoderSettings = LANGSPLAT  # schedule of LangSplat's network
     joint: JointSettings = LANGSPLATV2  # schedule of codes learned through renderings (LangSplatV2)
     progress: Progress = no_progress  # called while either is trained

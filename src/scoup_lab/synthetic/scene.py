@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from scoup.base import InputError, UnknownNameError
-from scoup.query import mask_box
 from scoup.scene import LEVELS, Cameras, Gaussians, Regions
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.layout import Layout
@@ -90,12 +89,12 @@ class DemoScene:
         boxes: dict[str, Tensor] = {}
         for name in dict.fromkeys(name for level in levels for name in self.parts.names(level)):
             mask = self.mask(view_name, name)
-            box = mask_box(mask)
-            if box is not None and int(mask.sum()) >= least:
+            if int(mask.sum()) >= least:
                 masks[name] = mask
                 corners = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
                 # Corners of a label's box are pixels inside it.
-                corners = corners or [(box[0], box[1], box[2] - 1, box[3] - 1)]
+                rows, columns = (torch.stack(axis.aminmax()).tolist() for axis in mask.nonzero(as_tuple=True))
+                corners = corners or [(columns[0], rows[0], columns[1], rows[1])]
                 boxes[name] = torch.tensor(corners, dtype=torch.float32)
         return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, masks, boxes)
 

@@ -7,6 +7,7 @@ import warnings
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,7 +43,8 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
         count = end
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
-    return Gaussians(**{name: torch.from_numpy(values[:count]) for name, values in arrays.items()})
+    tensors: dict[str, Any] = {name: torch.from_numpy(values[:count]) for name, values in arrays.items()}
+    return Gaussians(**tensors)
 
 
 def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:

@@ -45,19 +45,9 @@ def stored_files(path: Path) -> list[Path]:
     return sorted(path.glob(f"[!.]*{ENDING}"))
 
 
-def has_region_sums(path: Path) -> bool:
-    """Return whether a folder contains region sums."""
-    return (path / f"{SCENE}{ENDING}").exists()
-
-
 def view_files(path: Path) -> list[Path]:
     """Return the files of the views among them."""
     return [file for file in stored_files(path) if file.stem != SCENE]
-
-
-def stored_size(path: Path) -> tuple[int, int]:
-    """Return the number of views of region sums in a folder, and the bytes of all its files."""
-    return len(view_files(path)), sum(file.stat().st_size for file in stored_files(path))
 
 
 @dataclass(frozen=True, eq=False)
