@@ -162,7 +162,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(fields: Fields, tmp_path
     field.thing_table = replace(things, names=in_vain)
     field.save(tmp_path / "named.scoup", overwrite=True)
     with warns(ScoupWarning):
-        archive.find("mug left of the laptop")
+        archive.find("lamp left of the ball")
     archive.add(field)
     assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")
 
