@@ -26,6 +26,7 @@ STUDIES = Family(
         "extract": "benchmarks.extract:Extraction",
         "photographs": "benchmarks.photographs:Photographs",
         "query": "benchmarks.query:Query",
+        "first-words": "benchmarks.first_words:FirstWords",
         "stages": "benchmarks.stages:Stages",
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",

@@ -29,6 +29,7 @@ from benchmarks.concepts import Concepts
 from benchmarks.documents_chart import bars
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.extract import Extraction
+from benchmarks.first_words import FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import Laptop
 from benchmarks.lerf_sized import LerfSized
@@ -123,6 +124,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "laptop": (Laptop, "laptop"),
     "photographs": (Photographs, "photographs"),
     "query": (Query, "query"),
+    "first words": (FirstWords, "first_words"),
     "stages": (Stages, "stages"),
     "viewer": (ViewerCost, "viewer"),
     "archive": (Archives, "archive"),

@@ -18,6 +18,7 @@ from benchmarks import gpu
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
 from benchmarks.embedding_kinds import KINDS
+from benchmarks.first_words import LONGEST, FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
 from benchmarks.lerf_sized import LerfSized
@@ -48,6 +49,14 @@ def test_a_whole_build(backend: str) -> None:
     assert {"coding s", "coding m", "coding l", "region sums", "after vote"} <= set(found["seconds"])
     assert sum(found["seconds"].values()) == pytest.approx(found["total_s"], abs=0.1)
     assert found["coded_gaussians"] > 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
+def test_first_words_are_those_on_a_terminal() -> None:
+    verbs = ("info demo/demo.scoup", "query demo/demo.scoup teapot")
+    times = ran(FirstWords(n_gaussians=2000, repeats=1, verbs=verbs))["rows"]
+    assert list(times) == ["info", "query"]
+    assert all(0 < time < LONGEST for of_verb in times.values() for time in of_verb)
 
 
 @pytest.mark.usefixtures("quick_python")

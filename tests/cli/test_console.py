@@ -56,6 +56,26 @@ def test_quiet_prints_nothing():
     assert (code, out, len(err.splitlines())) == (2, "", 1)
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("common", [Common(), Common(quiet=True), MACHINES])
+def test_a_terminal_shows_that_a_verb_has_begun_until_it_says_more(monkeypatch, common):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    before = []
+
+    def verb(console: Console) -> None:
+        before.append(sys.stderr.getvalue())
+        console.say("done")
+        before.append(sys.stderr.getvalue())
+
+    assert run_verb(common, verb) == 0
+    shown = "loading ...\r" if common == Common() else ""
+    assert before == [shown, shown and f"{shown}{' ' * 11}\r"]
+
+
 def test_a_warning_is_told_once(capsys):
     def verb(console: Console) -> None:
         for _ in range(3):

@@ -48,6 +48,20 @@ def test_every_kind_of_file(name):
         assert len(record["fingerprint"]) == 64
 
 
+@pytest.mark.parametrize(
+    ("path", "following"),
+    {
+        "f.scoup": "scoup query f.scoup TEXT",
+        "scene/point_cloud.ply": "scoup build scene/point_cloud.ply --out point_cloud.scoup (makes views of it first)",
+        "scene": "scoup build scene --out scene.scoup",
+        "scene/words.npz": "",
+    }.items(),
+)  # fmt: skip
+def test_the_next_command_is_named(path, following):
+    last = run("info", path)[1].splitlines()[-1]
+    assert last == f"next: {following}" if following else not last.startswith("next")
+
+
 def test_a_field_says_where_its_parts_are():
     record = run_json("info", "f.scoup")
     assert record["words"] == str(Path("scene/words.npz").absolute())

@@ -180,21 +180,22 @@ class UnknownNameError(InputError, KeyError):
         name: the name that is not there.
         known: the names there are.
         where: the file or thing that was searched.
+        remedy: what to do, if none of these names is meant.
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", remedy: str = "") -> None:
         self.kind = kind
         self.name = name
         self.where = where
         self.nearest = nearest_names(name[:QUOTED], known)
         listed = ", ".join(repr(item) for item in self.nearest) or "there are none"
-        self.message = (
-            f"{where + ': ' if where else ''}no {kind} named {quoted(name)}; nearest names: {listed}"
-        )
+        self.remedy = remedy
+        self.message = f"{where and f'{where}: '}no {kind} named {quoted(name)}; nearest names: {listed}"
+        self.message += remedy and f"; {remedy}"
         super().__init__(self.message)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.kind, self.name, self.nearest, self.where)
+        return type(self), (self.kind, self.name, self.nearest, self.where, self.remedy)
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message

@@ -31,6 +31,8 @@ _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 _OPTIONS = {"count": "--views", "distorted": "--undistort", "encoder": "--text", "words": "--text"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
+_LOADING = "loading ..."
+"""On a terminal until the first line of a verb, whose imports and files take seconds."""
 _SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")
 
 
@@ -47,11 +49,32 @@ class Console:
         self.common = common
         self.warnings: list[str] = []
         self.kept: Callable[[], str] = lambda: "nothing was written"
+        self._loading = False
+
+    @property
+    def _has_terminal(self) -> bool:
+        """Whether somebody watches the verb work."""
+        return not (self.common.quiet or self.common.as_json) and sys.stderr.isatty()
+
+    def start(self) -> None:
+        """Show on a terminal that the verb has begun, until something else is printed there."""
+        if self._has_terminal:
+            self._loading = True
+            with _printing(sys.stderr):
+                print(_LOADING, end="\r", file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        """Take away what ``start`` shows."""
+        if self._loading:
+            self._loading = False
+            with _printing(sys.stderr):
+                print(" " * len(_LOADING), end="\r", file=sys.stderr, flush=True)
 
     def say(self, text: str) -> None:
         """Print a line for people."""
         if self.common.quiet or self.common.as_json:
             return
+        self.clear()
         with _printing():
             # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
             # server goes on for hours.
@@ -70,12 +93,14 @@ class Console:
         message = with_options(message)
         if message not in self.warnings:
             self.warnings.append(message)
+            self.clear()
             with _printing(sys.stderr):
                 print(f"warning: {printable(message)}", file=sys.stderr, flush=True)
 
     def fail(self, message: str, code: int) -> int:
         """Print an error as one line, and in the JSON result; returns the exit code."""
         message = printable(" ".join(with_options(message).splitlines()))
+        self.clear()
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({"error": message})
@@ -84,9 +109,10 @@ class Console:
     @contextmanager
     def progress(self) -> Iterator[Progress]:
         """Yield a progress callback that draws bars on a terminal and is silent elsewhere."""
-        if self.common.quiet or self.common.as_json or not sys.stderr.isatty():
+        if not self._has_terminal:
             yield no_progress
             return
+        self.clear()
         from rich.console import Console as RichConsole
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
@@ -128,8 +154,10 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         warnings.simplefilter("always", ScoupWarning)
         original, warnings.showwarning = warnings.showwarning, show
         try:
+            console.start()
             check_device(getattr(common, "device", "cpu"))
             code = run(console) or 0
+            console.clear()
             with _printing():
                 sys.stdout.flush()
             return code

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from scoup.base import MissingFileError, ScoupWarning
-from scoup.cli.console import Console
+from scoup.cli.console import Console, command
 from scoup.cli.options import Common, arg
 
 
@@ -34,7 +34,22 @@ class Info:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
             console.say(line)
+        if following := _next(self.path, record):
+            console.say(f"next: {following}")
         console.result(record)
+
+
+def _next(path: Path, record: dict[str, Any]) -> str:
+    """Return the command that follows from what a path is; "" where there is none."""
+    made = f"{path.resolve().stem}.scoup"
+    if record["kind"] == "language field":
+        return command("query", path, "TEXT")
+    if record["kind"] == "splat":
+        return f"{command('build', path, '--out', made)} (makes views of it first)"
+    if record["kind"] != "scene" or "cameras" not in record:
+        return ""
+    splat = () if "splat" in record else ("--gaussians", "SPLAT")
+    return command("build", path, *splat, "--out", made)
 
 
 def _other(path: Path) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from scoup.io.cameras.training_run import (
     is_nerfstudio_run,
     nerfstudio_data,
 )
+from scoup.io.image_folder import EXTENSIONS
 from scoup.io.reading import Distorted
 from scoup.scene import Cameras
 
@@ -198,6 +199,14 @@ def where_cameras_are(path: Path) -> str:
             return f"{what}: {', '.join(scenes)}"
     if files := sorted(str(file) for file in path.glob("*transforms*.json"))[:3]:
         return f"pass the file itself: {', '.join(files)}"
+    folders = (path, path / "images", path / "input")
+    if any(
+        file.suffix.lower() in EXTENSIONS
+        for folder in folders
+        if folder.is_dir()
+        for file in folder.iterdir()
+    ):
+        return "find the cameras of its photographs with COLMAP or ns-process-data, then train a splat"
     return "use a scene folder of COLMAP, nerfstudio or Inria's code"
 
 

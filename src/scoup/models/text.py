@@ -36,6 +36,7 @@ _NO_WORDS = (
     "extract them with a CLIP model as embedder and build the field again"
 )
 _BATCH = 64
+OTHER_WORDS = "ask one of its names, or use the model that embedded the regions instead of this table"
 ARTICLES = ("the", "a", "an")
 LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
@@ -166,7 +167,9 @@ class TextEncoder:
                 forms = (folded[form] for form in word_forms(phrase) if form in folded)
                 row = next(forms, None) if row is None else row
                 if row is None:
-                    raise UnknownNameError("text embedding", phrase, table.names, str(table.path))
+                    raise UnknownNameError(
+                        "text embedding", phrase, table.names, str(table.path), OTHER_WORDS
+                    )
                 rows.append(row)
             return vectors[rows]
 

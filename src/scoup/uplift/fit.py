@@ -172,9 +172,12 @@ class Fit:
         ``splat`` is the file of the Gaussians, for messages.
         """
         where = "the splat " if splat is None else f"{splat}: "
-        verdicts = {Verdict.HOPELESS: "does not fit", Verdict.DOUBTFUL: "may not fit"}
+        verdicts = {
+            Verdict.HOPELESS: "does not fit the cameras: ",
+            Verdict.DOUBTFUL: "may not fit the cameras: ",
+        }
         if said := verdicts.get(self.verdict):
-            return f"{where}{said} the cameras: {self.reason()}; {self.remedies()}"
+            return f"{where}{said}{self.reason()}; {self.remedies()}"
         if self.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
             return (
                 f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "

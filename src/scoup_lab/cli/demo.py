@@ -43,6 +43,10 @@ class Demo:
         """Run, draw, print."""
         import json
 
+        console.say(
+            f"a simulated scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
+            f"{self.width} x {self.height}"
+        )
         from scoup.base import write_text
         from scoup.io import save_png
         from scoup.view import ViewedField, export_page
@@ -50,10 +54,6 @@ class Demo:
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
 
-        console.say(
-            f"a simulated scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
-            f"{self.width} x {self.height}"
-        )
         no_page = _page_problem()
         files = [FIELD, SHEET, SCORES, *([] if no_page else [PAGE]), *(f"scene/{name}" for name in FILES)]
         size = self.n_gaussians, self.width, self.height, self.views
@@ -64,8 +64,11 @@ class Demo:
             write_text(hidden / SCORES, json.dumps(record, indent=2))
             if not no_page:
                 export_page(ViewedField(result.field), hidden / PAGE)  # with the words of its table
+            story = {
+                text: result.field.location(text).describe() for text in ASKED
+            }  # while its table is there
         _say_scores(console, result, record)
-        _say_story(console, result, self.out, no_page)
+        _say_story(console, story, self.out, no_page)
         console.result(record)
 
 
@@ -121,11 +124,11 @@ def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) ->
     )
 
 
-def _say_story(console: Console, result: DemoResult, out: Path, no_page: str) -> None:
-    """Print three answers, where the pictures are, the words that can be asked, and the next step."""
+def _say_story(console: Console, story: dict[str, str], out: Path, no_page: str) -> None:
+    """Print answers, where the pictures are, the words that can be asked, and the next step."""
     console.say("\nthree questions to it:")
-    for text in ASKED:
-        console.say(f"  {text}: {result.field.location(text).describe()}")
+    for text, answer in story.items():
+        console.say(f"  {text}: {answer}")
     page = no_page or f"{out / PAGE} (open it in a browser; it needs no server)"
     console.say(f"\npictures: {out / SHEET}\npage:     {page}")
     console.say(
