@@ -35,6 +35,7 @@ from benchmarks.laptop import Laptop
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.photographs import Photographs
 from benchmarks.query import Query
+from benchmarks.real_scenes import PHOTOGRAPHED, place_of
 from benchmarks.stages import Stages
 from benchmarks.study import Study
 from benchmarks.things import Things
@@ -66,8 +67,9 @@ def readme() -> str:
         }.items()
         if way in of["ways"]
     }
+    rendered = {place_of(name) for name in of["scenes"]["default"]} - {*PHOTOGRAPHED}
     columns = {
-        title: {way: of["ways"][way][group]["always"] for way in names}
+        title.format(len(rendered)): {way: of["ways"][way][group]["always"] for way in names}
         for group, title in README_COLUMNS.items()
     }
     rows = [
@@ -103,7 +105,7 @@ def single_steps() -> str:
 README_COLUMNS = {
     "desk (real)": "desk (real)",
     "fox (real)": "fox (real)",
-    "rendered photographs, real models": "mean of five rendered scenes",
+    "rendered photographs, real models": "mean of the {} rendered",
 }
 
 

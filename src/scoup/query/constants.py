@@ -26,12 +26,14 @@ SAME_GAUSSIANS = 0.5
 in a set, or that share of the set in it, is no rival."""
 MOST_COVERED = 0.5
 """Share of the Gaussians of its level that a set may have, unless one of its things fits best or nothing else may
-answer. On fox +.07 and +.06, elsewhere .000; .6 and .8 do much the same, .4 drops a cloth that fills a scene."""
+answer. Without it -.003 over the thirteen settings with real models (s.e. .003), on fox -.04; with the AGREEMENT of
+.25 before it, fox and fox-17 -.07 and -.06. The same with .6; .4 drops a cloth that fills a scene."""
 RIVAL = 2.0
-"""Weight of the lead of things elsewhere over the mean fit of a set (docs/answers.md#constants)."""
+"""Weight of the lead of things elsewhere over the mean fit of a set. Without it -.007 over the thirteen (s.e. .005), at
+worst -.05 (docs/answers.md#constants)."""
 AGREEMENT = 0.5
-"""Weight of the score of a set of another level with the same Gaussians. Beside ``MOST_COVERED`` +.005 over thirteen
-settings for .25, +.017 of them real (docs/answers.md#constants); .4 and .6 are within .002."""
+"""Weight of the score of a set of another level with the same Gaussians. For .25 +.005 over the thirteen. Without it
+-.016 (s.e. .015), at worst -.13, but on desk and fox +.02 (docs/answers.md#constants)."""
 
 # Presence.
 PRESENT_FROM = 0.35
