@@ -13,7 +13,7 @@ from scoup.query import constants
 from scoup_lab.bench import markdown
 
 MOST_ABSENT = 40
-BOUNDS = (0.2, 0.3, constants.PRESENT_FROM, 0.5, 0.6, 0.9)
+BOUNDS = (0.2, constants.PRESENT_FROM, 0.45, 0.6, 0.9)
 LOST = 0.05
 """Share of the present words of all other scenes that the threshold chosen on them loses."""
 

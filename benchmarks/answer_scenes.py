@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -54,6 +55,7 @@ class AnswerScene:
     name: str  # for tables
     gaussians: Gaussians  # N of them
     sums: Callable[[Scale], RegionSums]  # at a scale of the images, each made once
+    seconds: dict[Scale, float]  # that each of them took
     embeddings: list[Tensor]  # per level [R, D]
     frames: list[tuple[LabelledFrame, raster.Projection]]  # labelled frames with their views; of one size
     cameras: list[Camera]  # of the labelled frames
@@ -154,12 +156,22 @@ def prepared(
 ) -> AnswerScene:
     """Return a scene with the region sums of its cameras."""
 
+    seconds: dict[Scale, float] = {}
+
+    @cache
+    def sums(scale: Scale) -> RegionSums:
+        started = time.perf_counter()
+        made = region_sums(gaussians, cameras, regions, BuildSettings(scale=scale))
+        seconds[scale] = time.perf_counter() - started
+        return made
+
     everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
     labels = sorted({label for frame, _ in frames for label in frame.labels})
     return AnswerScene(
         name,
         gaussians,
-        cache(lambda scale: region_sums(gaussians, cameras, regions, BuildSettings(scale=scale))),
+        sums,
+        seconds,
         [regions.embeddings(level)[0] for level in regions.levels],
         [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
         [camera for _, camera in frames],

@@ -16,7 +16,7 @@ from benchmarks.answer_presence import auc
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
 from benchmarks.drawn import DrawnAnswer, mask_ious, question_of
-from benchmarks.real_scenes import FOLDERS, REAL_SCENES, RealScene, place_of
+from benchmarks.real_scenes import FOLDERS, REAL_SCENES, TUNED_ON, RealScene, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
 from scoup.base import InputError
@@ -51,8 +51,8 @@ class Concepts(Study):
 
     detections: Path
     """Folder of the detections."""
-    scenes: tuple[str, ...] = tuple(REAL_SCENES)
-    """Scenes of benchmarks.real_scenes."""
+    scenes: tuple[str, ...] = tuple(name for name in REAL_SCENES if place_of(name) in TUNED_ON)
+    """Scenes of benchmarks.real_scenes; others have no detections."""
     views: int = constants.MOST_PHOTOGRAPHS
     """Photographs looked at on demand."""
     data: Path = field(default_factory=data_folder)

@@ -63,6 +63,28 @@ def mask_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[fl
     return found
 
 
+def object_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[float]:
+    """Return the IoU of each label over all scored views together, in the order of ``AnswerScene.queries``: also over
+    those without it, and times the share of the answer's Gaussians that any of them shows."""
+    labels, both, either = (
+        list(scene.queries),
+        torch.zeros(len(scene.queries)),
+        torch.zeros(len(scene.queries)),
+    )
+    for frame, view in scene.frames:
+        nothing = torch.zeros(view.height, view.width, dtype=torch.bool)
+        for place, mask in enumerate(drawn_masks([answers[label] for label in labels], view)):
+            truth = frame.masks.get(labels[place], nothing)
+            both[place] += (mask & truth).sum()
+            either[place] += (mask | truth).sum()
+    shown = torch.stack([camera.shows(scene.gaussians.means) for camera in scene.cameras]).any(0)
+    seen = [
+        float((answers[label].mask & shown).sum() / answers[label].mask.sum().clamp(min=1))
+        for label in labels
+    ]
+    return [share * value for share, value in zip(seen, (both / either.clamp(min=1)).tolist(), strict=True)]
+
+
 def drawn_masks(answers: Sequence[DrawnAnswer], view: raster.Projection) -> list[Tensor]:
     """Return the pixels [H, W] boolean of each answer (``scoup.query.field_view.FieldView.masks``)."""
     values = torch.stack([part for answer in answers for part in (answer.mask, answer.counting)], 1)

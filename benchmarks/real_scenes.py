@@ -1,5 +1,5 @@
-"""Scenes whose masks and embeddings real models made: "desk" (real photographs, splat, labels), and four whose
-photographs are renders, with exact truth."""
+"""Scenes whose masks and embeddings real models made: "desk" and "fox" (real photographs, splats, labels), and five
+whose photographs are renders, with exact truth."""
 
 from __future__ import annotations
 
@@ -17,19 +17,31 @@ from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
 
 FOLDERS = {
     "desk": "desk",
+    "fox": "fox",
+    "museum-real": "real/museum-B",
     **{f"{name}-real": f"real/{name}-20" for name in ("table", "shelves", "hall", "yard")},
 }
+PHOTOGRAPHED = ("desk", "fox")
+"""Places whose photographs are real."""
+TUNED_ON = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
+"""Places that constants of the answer were tuned on."""
+SECOND = {"fox": {"-17": "language_features_17"}, "museum-real": {}}
+"""Place -> ending of a second scene of it -> its regions: by default the same masks, with embeddings pooled in another
+way; of fox those of 17 of the 50 photographs."""
 REAL_SCENES = {
-    name + suffix: (folder, f"language_features{'_all' if suffix else ''}")
-    for name, folder in FOLDERS.items()
-    for suffix in ("", "-all")
+    place + ending: (folder, regions)
+    for place, folder in FOLDERS.items()
+    for ending, regions in {
+        "": "language_features",
+        **SECOND.get(place, {"-all": "language_features_all"}),
+    }.items()
 }
-"""Name of the scene -> its folder and that of its regions: the same masks, with embeddings pooled in two ways."""
+"""Name of the scene -> its folder and that of its regions. The first are real, the others rendered."""
 
 
 def place_of(name: str) -> str:
-    """Return what the scenes of both poolings of one place have in common."""
-    return name.removesuffix("-all")
+    """Return what the scenes of one place have in common."""
+    return name.removesuffix("-all").removesuffix("-17")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +62,10 @@ class RealScene:
     def open(cls, name: str, data: Path) -> RealScene:
         """Open a scene of ``REAL_SCENES`` from the folder of the data."""
         place, features = REAL_SCENES[name]
-        return cls.of_folder(data / place, features, data)
+        folder = data / place
+        names = {path.stem for path in (folder / features).glob("*.regions")}
+        chosen = scoup.load_cameras(folder).select(lambda camera: Path(camera.name).stem in names)
+        return cls.of_folder(folder, features, data, chosen)
 
     @classmethod
     def of_folder(cls, folder: Path, features: str, data: Path, chosen: Cameras | None = None) -> RealScene:
@@ -62,12 +77,16 @@ class RealScene:
             (frame.resized(camera.width, camera.height), camera)
             for frame, camera in match_frames(read_labels(folder / "label"), labelled)
         ]
-        meanings = json.loads((folder / "words.json").read_text())
+        called: set[str] = set()
         if held_out.exists():
+            meanings = json.loads((folder / "words.json").read_text())
             frames = [(renamed(frame, meanings), camera) for frame, camera in frames]
+            called = set(meanings)
         encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
         words = tuple(word for word in encoder.names or () if word not in CANONICAL_PHRASES)
-        desk = json.loads((data / "desk" / "words.json").read_text())["absent"]
+        absent = ABSENT.split(",")
+        if folder.name == "desk":
+            absent = json.loads((folder / "words.json").read_text())["absent"]
         return cls(
             folder,
             chosen or cameras,
@@ -76,7 +95,7 @@ class RealScene:
             words,
             torch.nn.functional.normalize(encoder.encode(words), dim=1),
             encoder.canonical(),
-            tuple(word for word in ABSENT.split(",") if word in words) if held_out.exists() else tuple(desk),
+            tuple(word for word in absent if word in words and word not in called),
             encoder,
         )
 
@@ -109,4 +128,4 @@ ABSENT = (
     "chandelier,wheelchair,hair dryer,grizzly,sailboat,rhinoceros,cannon,fire extinguisher,"
     "fire engine"
 )
-"""Words for things that none of the rendered scenes contains, separated by commas."""
+"""Words for things that none of the scenes but desk contains, or museum calls by that name; separated by commas."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from benchmarks.answer_scenes import DrawName
 from benchmarks.embedding_kinds import KINDS
-from benchmarks.real_scenes import REAL_SCENES
+from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
 from scoup.uplift.settings import Scale
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
@@ -44,7 +44,8 @@ def groups_of(scenes: Sequence[str]) -> dict[str, list[str]]:
 
 def _group_of(name: str) -> str:
     if name in REAL_SCENES:
-        return "desk (real)" if name.startswith("desk") else "rendered photographs, real models"
+        place = place_of(name)
+        return f"{place} (real)" if place in PHOTOGRAPHED else "rendered photographs, real models"
     draw = DrawName.parse(name)
     if draw is None:
         return "procedural"

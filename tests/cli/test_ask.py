@@ -16,6 +16,7 @@ from PIL import Image
 from cli_support import WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
+from scoup.cli import command
 from scoup.io import write_colmap
 from scoup.models import WordTable
 from scoup.query import LanguageField
@@ -60,6 +61,20 @@ def test_an_absent_text_has_no_place() -> None:
     for answer in answers:
         assert (answer["certainty"], answer["present"], answer["visible"]) == ("not here", False, False)
         assert (answer["pixel"], answer["box"], answer["coverage"]) == (None, None, 0)
+
+
+def test_doubtful_answers_come_with_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ("--text", add_words())
+    low, _, score, bound = scores_of(*words)
+    for likely, doubtful in ((bound, [low]), (score - 0.01, [])):
+        monkeypatch.setattr("scoup.query.constants.LIKELY", likely)
+        lines = [
+            line
+            for line in printed("query", "f.scoup", *TEXTS, *words, "--always", *NO_PICTURES).splitlines()
+            if "--refine" in line
+        ]
+        said = command("query", "f.scoup", *doubtful, "--refine", "owlv2")
+        assert lines == ([f"a detector may decide what is doubtful: {said}"] if doubtful else [])
 
 
 def test_an_absent_text_selects_nothing() -> None:

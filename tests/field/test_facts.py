@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
@@ -17,7 +18,8 @@ from field_files import parts_of, write_whole
 from messages import check_message
 from scoup.base import ScoupError
 from scoup.field.content import LEAST_GAUSSIANS, TENSORS
-from scoup.field.facts import read_facts
+from scoup.field.facts import doubt_of, read_facts
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query import LanguageField
 from support import altered, examples
 
@@ -50,10 +52,32 @@ def facts_of(field: LanguageField) -> dict[str, Any]:
         "raster_preset": field.raster_preset,
         "cameras": 0 if field.cameras is None else len(field.cameras),
         "things": 0 if table is None else int((table.sums(torch.ones(len(field))) >= LEAST_GAUSSIANS).sum()),
+        **({} if table is None else of_the_largest(table)),
         "geometry": "embedded" if field.has_geometry else geometry,
         "fingerprint": field.fingerprint,
         "provenance": field.info.provenance,
     }
+
+
+def of_the_largest(table: ThingTable) -> dict[str, Any]:
+    counts, level = table.sums(torch.ones(len(table.owners))), table.levels.long()
+    wholes = torch.zeros(table.owners.shape[1], dtype=counts.dtype).index_add(0, level, counts)
+    share = max((counts / wholes[level].clamp(min=1)).tolist(), default=0.0)
+    doubt = doubt_of(table.owners.numpy(), table.levels.numpy())
+    return {"largest_thing": pytest.approx(share, abs=1e-3), **({"doubt": doubt} if doubt else {})}
+
+
+@pytest.mark.parametrize(("owners", "doubt"), [
+    ([[0, 3], [1, 4], [2, 5]], ""),
+    ([[0, 3], [1, 3], [2, NO_THING]], "a thing has 100% of the Gaussians of its level: answers may be poor"),
+    ([[0, 3], [0, 4], [1, 5], [2, 3], [2, 4]], "a thing has 40% of the Gaussians of its level: answers may be poor"),
+    ([[NO_THING, NO_THING]], ""),
+])  # fmt: skip
+def test_a_huge_thing_is_a_reason_to_doubt(owners: list[list[int]], doubt: str) -> None:
+    levels = np.array([0, 0, 0, 1, 1, 1], np.uint8)
+    assert doubt_of(np.array(owners, np.int32), levels) == doubt
+    stored = np.array(owners, np.int32).astype(np.uint16)  # as in a file
+    assert doubt_of(stored, levels) == doubt
 
 
 def facts_or_refusal(path: Path, with_torch: bool) -> dict[str, Any] | str:

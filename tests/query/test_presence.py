@@ -6,6 +6,7 @@ import math
 import statistics
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -69,13 +70,37 @@ def literal_scores(field: LanguageField, question: Question) -> list[float]:
     ]
     scores = []
     for answer, query in zip(each_answer(field, question), question.queries, strict=True):
-        fit = max(float(known.fits(query[None])[thing]) for thing in answer.things)
-        scores.append(share_below(fit, best, literal_others(query, question.everyday)))
+        fits, counts = known.fits(query[None])[:, 0].tolist(), literal_others(query, question.everyday)
+        score = share_below(max(fits[thing] for thing in answer.things), best, counts)
+        first = max((fit, thing) for thing, fit in enumerate(fits) if bool(known.usable[thing]))[1]
+        near = question.everyday @ vectors[first].float() - query @ vectors[first].float()
+        scores.append(min(score, most_of(share_below(-1e-6, (-near).tolist(), counts))))
     return scores
 
 
 def scores_of(field: LanguageField, question: Question) -> list[float | None]:
     return [answer.score for answer in each_answer(field, question)]
+
+
+def most_of(nearer: float) -> float:
+    """What a text may score: straight lines between the pairs of the table."""
+    pairs = list(zip(constants.NEARER_SHARES, constants.MOST_SCORES, strict=True))
+    for (low, before), (high, after) in pairwise(pairs):
+        if nearer <= high:
+            return before + (nearer - low) / (high - low) * (after - before)
+    raise AssertionError(nearer)
+
+
+@pytest.mark.parametrize(("fit", "nearer", "score"), [
+    (5, 0, 0.5), (10, 0, 1.0), (10, 2, 0.8), (5, 5, 0.5), (10, 5, 0.6), (10, 7, 0.35), (3, 7, 0.3), (10, 100, 0.2),
+    (2, 100, 0.2), (1, 100, 0.1),
+])  # fmt: skip
+def test_nearer_words_lower_the_score(fit: int, nearer: int, score: float) -> None:
+    """Of a hundred words, some fit something better than the text and some are nearer to what fits it best."""
+    best_fits = torch.arange(100)[None] // 10
+    near = torch.where(torch.arange(100) < nearer, 0.1, -0.1)
+    text = TextScore(best_fits, torch.ones(100, dtype=torch.bool), nearer=lambda scene: near)
+    assert text(fit) == pytest.approx(score)
 
 
 def test_scores_of_things(queried: Queried) -> None:

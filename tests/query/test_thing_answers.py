@@ -70,8 +70,10 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
             lead = 0.0 if rival is None else max(0.0, fits[rival] - mean)
             score = min(last - behind, constants.MOST_GAP) - (top - mean) - constants.RIVAL * lead
             alone[-1].append((score, chosen, rival))
-    found = []
+    found, large = [], []
     for each, sets in enumerate(alone):
+        mine = [thing for thing in usable if int(things.levels[thing]) == each]
+        owned = len(set().union(*(gaussians[thing] for thing in mine)))
         for score, chosen, rival in sets if level in (None, each) else ():
             whole, added = set().union(*(gaussians[thing] for thing in chosen)), 0.0
             for others in (*alone[:each], *alone[each + 1 :]):
@@ -81,8 +83,9 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > constants.SAME_GAUSSIANS * len(whole | them):
                         best = max(best, their_score + constants.MOST_GAP)
                 added += best
-            found.append((score + constants.AGREEMENT * added, chosen, rival))
-    return found
+            is_large = len(whole) > constants.MOST_COVERED * owned and fits[chosen[0]] != top
+            (large if is_large else found).append((score + constants.AGREEMENT * added, chosen, rival))
+    return found or large
 
 
 def check_choice(things: ThingTable, fits: Tensor, level: int | None) -> None:
@@ -180,6 +183,12 @@ THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
     (THREE, [TENS, [10, 10, 20], [10, 10, 20]], {}, [5]),
     (THREE, [TENS, [10, 10, 20], [15, 5, 20]], {}, [0]),  # half of them is not enough
     (THREE, [TENS, [10, 10, 20], [14, 6, 20]], {}, [5]),
+    # What has most of its level's Gaussians answers only with what fits best, or if nothing else may.
+    ([[3.0, 1.0, 0.5, 0.4], [2.9, 0.0]], [NINE, [36, 2]], {}, [0]),
+    ([[3.0, 1.0, 0.5, 0.4], [3.1, 0.0]], [NINE, [36, 2]], {}, [4]),
+    ([[3.0, 1.0, 0.5, 0.4], [2.9]], [NINE, [36]], {"level": 1}, [4]),
+    ([[3.0, 2.9, 2.8, 0.0]], [NINE], {}, [0, 1, 2]),
+    ([[3.0, 1.0, 0.5, 0.4], [2.9, 2.9, 0.0]], [NINE, [18, 18, 2]], {}, [0]),
     # Levels that may not answer support those that may.
     ([SUPPORTED, [1.5, 0.0]], [TENS, [20, 20]], {"level": 0}, [0, 1]),
     ([SUPPORTED, [0.0, 1.5]], [TENS, [20, 20]], {"level": 0}, [0]),

@@ -116,7 +116,7 @@ def test_texts_have_a_colour_and_what_the_library_says(visit: Visit, viewed: Vie
     assert facts[1].inner_text() == "not here"
     title = facts[1].locator("span").get_attribute("title") or ""
     assert f"Score {absent.score:.2f}: the share of everyday words" in title
-    assert "present from 0.37" in title
+    assert "present from 0.35" in title
     visit.choose("l (coarse)")  # whose score is another one
     assert [each.inner_text() for each in facts] == ["coarse level", "not here"]
     visit.choose("automatic")

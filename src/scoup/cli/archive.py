@@ -48,7 +48,7 @@ class SearchOptions:
     at_least: int | None = None
     """Only scans with so many things that answer, those with the most first. Default: every thing that answers."""
     presence: float | None = None
-    """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
+    """Least score of a text that is in a scan, as for scoup query. Default: 0.35."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
     page: Path | None = None

@@ -69,6 +69,7 @@ class Build:
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
+        from scoup.field import doubt_of
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -95,6 +96,10 @@ class Build:
         report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
         console.say(whole + _suggestion(field, out))
+        if (things := field.thing_table) and (
+            doubt := doubt_of(things.owners.numpy(), things.levels.numpy())
+        ):
+            console.say(f"{doubt} (docs/answers.md#where-a-field-is-unsure)")
         return None
 
     def _out(self) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, check_output, counted, reported, staged
-from scoup.cli.console import Console
+from scoup.cli.console import Console, command
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
@@ -201,6 +201,10 @@ class Query:
         for place in places:
             at = "at " if place.presence else ""
             console.say(f"in the scene  {place.answer.text}: {at}{place.describe(metres_per_unit)}")
+        doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
+        if doubtful and self.detector.refine is None:
+            asked = command("query", self.field, *doubtful, "--refine", "owlv2")
+            console.say(f"a detector may decide what is doubtful: {asked}")
         if self.longest_side is not None:
             console.say(
                 f"the scene's unit is {metres_per_unit:.4g} metres: --metres-per-unit {metres_per_unit:.4g}"

@@ -181,7 +181,8 @@ class AnswerOptions:
     in a field without things the Gaussians above the threshold at which the answer changes least."""
     presence: float | None = None
     """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
+    lower, or less if some are nearer to what fits best. Below it, nothing answers. Default: 0.35, if the table of
+    --text has 16 words or more."""
     always: bool = False
     """Answer every text, without judging presence."""
 

@@ -18,6 +18,7 @@ _HOMES = {
     "NO_THING": "scoup.field.thing_table",
     "NameTable": "scoup.field.thing_table",
     "ThingTable": "scoup.field.thing_table",
+    "doubt_of": "scoup.field.facts",
     "part_sizes": "scoup.field.sizes",
     "place_of": "scoup.field.container",
     "read_facts": "scoup.field.facts",
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from scoup.field.container import relative_place as relative_place
     from scoup.field.content import LEAST_GAUSSIANS as LEAST_GAUSSIANS
     from scoup.field.cosines import relevancy as relevancy
+    from scoup.field.facts import doubt_of as doubt_of
     from scoup.field.facts import read_facts as read_facts
     from scoup.field.field import Field as Field
     from scoup.field.field_info import FieldInfo as FieldInfo

@@ -15,6 +15,10 @@ from scoup.field.container import place_of, read_content
 from scoup.field.content import LEAST_GAUSSIANS
 from scoup.field.sizes import PartSizes
 
+DOUBTFUL_SHARE = 0.4
+"""A thing with this share of its level's Gaussians makes answers doubtful. Of nineteen fields, no other figure orders
+settings as well by their mIoU (docs/answers.md#where-a-field-is-unsure)."""
+
 
 def read_facts(path: Path) -> dict[str, Any]:
     """Read a ``.scoup`` file, check all of it as ``LanguageField.load`` does, and return its facts as plain values."""
@@ -39,6 +43,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         "bytes_of_codebook": sizes.codebook,
         "cameras": len(header["cameras"] or ()),
         "things": _count_things(arrays),
+        **_of_the_largest(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
         "fingerprint": geometry["fingerprint"],
         "provenance": header["provenance"],
@@ -51,6 +56,37 @@ def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
         return 0
     counts = np.bincount(arrays["things.owners"].ravel())
     return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
+
+
+def _of_the_largest(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    if "things.owners" not in arrays:
+        return {}
+    owners, levels = arrays["things.owners"], arrays["things.levels"]
+    doubt = doubt_of(owners, levels)
+    share = {"largest_thing": round(_largest_share(owners, levels), 3)}
+    return {**share, "doubt": doubt} if doubt else share
+
+
+def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:
+    """Return what makes the answers of things doubtful, as a sentence without its end; "" if nothing does.
+
+    Args:
+        owners: [N, S] the thing of each Gaussian at each level.
+        levels: [T] the level of each thing.
+    """
+    share = _largest_share(owners, levels)
+    if share < DOUBTFUL_SHARE:
+        return ""
+    return f"a thing has {share:.0%} of the Gaussians of its level: answers may be poor"
+
+
+def _largest_share(owners: NDArray[Any], levels: NDArray[Any]) -> float:
+    """Return the largest share that a thing has of the Gaussians of its level; 0 without things."""
+    counts = np.bincount(
+        owners[(owners >= 0) & (owners < len(levels))].astype(np.int64), minlength=len(levels)
+    )
+    wholes = np.bincount(levels, counts, minlength=1)
+    return float((counts / np.maximum(1, wholes[levels])).max(initial=0))
 
 
 def _where(path: Path | None) -> str | None:

@@ -46,7 +46,8 @@ class Answer:
     level: str
     """Name of the level that answers."""
     score: float | None
-    """The share of everyday words whose best fit in this scene is lower, 0 to 1; None with too few everyday words."""
+    """The share of everyday words whose best fit in this scene is lower, 0 to 1, or less if some of them are nearer to
+    what fits best (``scoup.query.presence``); None with too few everyday words."""
     asked: AskedText
     """The text as vectors."""
     presence: bool = True

@@ -184,7 +184,7 @@ class LanguageField(Field):
                 (``scoup.parse_expression``). Or vectors [Q, D] of the field's embedding model, of any norm but zero. A
                 question is returned as it is.
             always: find something for any text; presence is not judged.
-            present_from: by default 0.37, where there are enough everyday words; see ``Question``.
+            present_from: by default 0.35, where there are enough everyday words; see ``Question``.
             threshold, level: see ``Question``.
             frame: what left, front and up mean in phrases; by default ``field.frame()``.
 

@@ -8,7 +8,8 @@ Such a set is judged by four things:
 * things elsewhere that fit better than its mean count against it; parts of the set and wholes around it do not;
 * sets of other levels with the same Gaussians count for it: what several levels found is more often what people name.
 
-Ours; measured in docs/answers.md.
+A set with most of its level's Gaussians has hardly a rival, so it answers only if one of its things fits best of all,
+for a scene may be one object, or where nothing else may. Ours; measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ class _Sets:
     shared: Tensor  # [S, Q, P, T] Gaussians that each of these things shares with every thing
     rivals: Tensor  # [S, Q, P] the thing elsewhere that fits best; -1 if there is none
     scores: Tensor  # [S, Q, P] without the other levels; -inf beyond the things of the level
+    allowed: Tensor  # [S, Q, P] boolean, without those that have most of the level's Gaussians
 
     @classmethod
     def of(cls, known: ThingIndex, fits: Tensor, rows: Tensor, usable: Tensor, level: int) -> _Sets:
@@ -109,6 +111,7 @@ class _Sets:
             (inside < constants.SAME_GAUSSIANS) & (around <= constants.SAME_GAUSSIANS) & usable[:, None, None]
         )
         rival_fits, rivals = torch.where(elsewhere, fits[:, :, None], -torch.inf).max(3)
+        owned = (known.counts[rows] * of_level).sum(1)[:, None, None]
         gap = (ordered[..., :-1] - ordered[..., 1:]).clamp(max=constants.MOST_GAP)
         scores = gap - (top - mean) - constants.RIVAL * (rival_fits - mean).clamp(min=0)
         return cls(
@@ -118,6 +121,7 @@ class _Sets:
             shared,
             torch.where(rival_fits > -torch.inf, rivals, -1),
             torch.where(is_set, scores, -torch.inf),
+            (sizes <= constants.MOST_COVERED * owned) | (ordered[..., :1] == top),
         )
 
     def support(self, other: _Sets) -> Tensor:
@@ -148,7 +152,9 @@ def _choose(
         sets[one].scores + sum(sets[one].support(other) for k, other in sets.items() if k != one)
         for one in wanted
     ]
-    score, best = torch.cat(scores, 2).max(2)
+    score = torch.cat(scores, 2)
+    allowed = torch.where(torch.cat([sets[one].allowed for one in wanted], 2), score, -torch.inf)
+    score, best = torch.where(allowed.amax(2, keepdim=True) > -torch.inf, allowed, score).max(2)
     which, rank = best // constants.MOST_TOGETHER, best % constants.MOST_TOGETHER
     at = which[..., None]
     order = torch.stack([sets[one].order for one in wanted], 2)

@@ -6,17 +6,19 @@ which name nothing in it, fits the same things (the scene's own null). So
     score = share of everyday words whose best fit in this scene is lower, 0 to 1.
 
 It has no unit, and means the same in every scene, for every embedding model, for a text and for a single thing.
-Other names of the text do not count among the words. A text is present from a score of
+What is absent often fits a thing that many words are nearer to: of their share, ``constants.MOST_SCORES`` are the most
+that a text scores in the scene. Other names of the text do not count among the words. A text is present from a score of
 ``constants.PRESENT_FROM`` on and with at least ``LEAST_GAUSSIANS`` Gaussians. This is ours; neither the paper nor the
 protocols judge presence. Measured in docs/answers.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -92,17 +94,30 @@ def compared_others(question: Question[Any]) -> Tensor:
 
 
 class TextScore:
-    """The score of one text for fits in S scenes: against the best fits of everyday words, and by its name if it has
-    one.
+    """The score of one text for fits in S scenes: against the best fits of everyday words, the share of these that are
+    nearer to what fits best, and by its name if it has one.
 
     Args:
         best_fits: [S, B] of the words in each scene.
         others: [B] boolean, the words that count (``other_words``).
         named: by scene, what a model with words said of the text.
+        nearer: returns for a scene the cosines [B] of its best thing with the words, less that with the text.
     """
 
-    def __init__(self, best_fits: Tensor, others: Tensor, named: Mapping[int, Named] | None = None) -> None:
-        self._best, self._named = best_fits[:, others], named or {}
+    def __init__(
+        self,
+        best_fits: Tensor,
+        others: Tensor,
+        named: Mapping[int, Named] | None = None,
+        nearer: Callable[[int], Tensor] | None = None,
+    ) -> None:
+        self._best, self._others, self._named, self._nearer = (
+            best_fits[:, others],
+            others,
+            named or {},
+            nearer,
+        )
+        self._most: dict[int, float] = {}
 
     def __call__(self, fit: float, thing: int | None = None) -> float | None:
         """Return the score of one fit in the first scene, of the text, or of it in one thing."""
@@ -111,23 +126,38 @@ class TextScore:
     def each(
         self, fits: Sequence[float], scenes: Sequence[int], things: Sequence[int | None] | None = None
     ) -> list[float | None]:
-        """Return for each fit the share of the words whose best fit in its scene is lower, or None if no word counts,
-        joined with the score of the name (``Named.score``): of the text, or of it in one thing."""
+        """Return for each fit the share of the words whose best fit in its scene is lower, at most what the text may
+        score there, or None if no word counts, joined with the score of the name (``Named.score``): of the text, or of
+        it in one thing."""
         scores: list[float | None] = [None] * len(fits)
         if count := self._best.shape[1]:
-            lower = self._best[[*scenes]] < torch.tensor(fits)[:, None]
-            scores = [number / count for number in lower.sum(1).tolist()]
+            lower = (self._best[[*scenes]] < torch.tensor(fits)[:, None]).sum(1).tolist()
+            scores = [
+                self._lowered(number / count, scene) for number, scene in zip(lower, scenes, strict=True)
+            ]
         for index, scene in enumerate(scenes if self._named else ()):
             if scene in self._named:
                 thing = None if things is None else things[index]
                 scores[index] = self._named[scene].score(scores[index], thing)
         return scores
 
+    def _lowered(self, share: float, scene: int) -> float:
+        if self._nearer is None or share <= constants.MOST_SCORES[-1]:
+            return share
+        if scene not in self._most:
+            nearer = float((self._nearer(scene)[self._others] > 1e-6).double().mean())
+            self._most[scene] = float(np.interp(nearer, constants.NEARER_SHARES, constants.MOST_SCORES))
+        return min(share, self._most[scene])
+
 
 def text_scores(
-    question: Question[Any], best_fits: Tensor, named: Sequence[Mapping[int, Named]] = ()
+    question: Question[Any],
+    best_fits: Tensor,
+    named: Sequence[Mapping[int, Named]] = (),
+    nearer: Sequence[Callable[[int], Tensor]] = (),
 ) -> list[TextScore]:
     """Return the score of each text against the best fits of everyday words [S, B], joined with those of its names in
     the scenes; with too few words, none counts."""
-    every = zip(compared_others(question), named or [None] * len(question.texts), strict=True)
-    return [TextScore(best_fits[:, : len(others)], others, names) for others, names in every]
+    others, nothing = compared_others(question), [None] * len(question.texts)
+    every = zip(others, named or nothing, nearer or nothing, strict=True)
+    return [TextScore(best_fits[:, : len(each)], each, names, of) for each, names, of in every]

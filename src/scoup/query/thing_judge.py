@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, combinations, islice, pairwise
 from typing import Any, NamedTuple
 
@@ -204,6 +204,20 @@ class ThingIndex:
         shared[rows, self.shares.others[pairs].long()] = self.shares.gaussians[pairs]
         return shared.view(*counted.shape, width)
 
+    def text_scores(
+        self, question: Question[Any], fits: Tensor, named: Sequence[Mapping[int, Named]] = ()
+    ) -> list[TextScore]:
+        """Return the score of each text from the fits [N, Q] (``scoup.query.presence.text_scores``)."""
+
+        def nearer(number: int, scene: int) -> Tensor:
+            rows = slice(*self.starts[scene : scene + 2])
+            best = torch.where(self.usable[rows], fits[rows, number], -torch.inf).argmax()
+            vector = self.vectors[scene][best].float()
+            return self.words @ vector - question.queries[number].float().cpu() @ vector
+
+        every = [partial(nearer, number) for number in range(len(question.texts))]
+        return text_scores(question, self.best_fits, named, every)
+
     def judge(
         self,
         question: Question[Any],
@@ -218,7 +232,7 @@ class ThingIndex:
             known_fits: [N, Q] of its texts, if they were asked for before.
         """
         fits = self.fits(question.queries) if known_fits is None else known_fits
-        scores = text_scores(question, self.best_fits, named)
+        scores = self.text_scores(question, fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
             text_fits = fits[:, number]
             for scene, name in named[number].items():
@@ -289,7 +303,7 @@ class AskedThings:
     @cached_property
     def scores(self) -> dict[str, TextScore]:
         """Of each text."""
-        scores = text_scores(self.question, self.index.best_fits, self._named)
+        scores = self.index.text_scores(self.question, self.fits, self._named)
         return dict(zip(self.question.texts, scores, strict=True))
 
     @cached_property

@@ -19,7 +19,6 @@ from scoup.field import Field, ThingTable
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.named import less_common, voted_names
-from scoup.query.presence import text_scores
 from scoup.query.question import Question
 from scoup.query.thing_judge import ThingIndex, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
@@ -61,7 +60,8 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
         thing: [number for _, number in sorted(numbers)[: constants.NAMES]]
         for thing, numbers in candidates.items()
     }
-    fits, scores, names = known.fits(queries), text_scores(question, known.best_fits), {}
+    fits = known.fits(queries)
+    scores, names = known.text_scores(question, fits), {}
     for thing, like in _alike(known, best).items():
         texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
         names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))

@@ -18,7 +18,7 @@ from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.named import named_texts, voted_names
-from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty, text_scores
+from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
 from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
@@ -53,8 +53,8 @@ class Thing:
     text: str
     """The text it answers, or its name; "" if nothing was asked and no model named it."""
     score: float | None
-    """As of ``Answer``, for this thing alone: the share of everyday words whose best fit in this scene is lower, 0 to
-    1. None if nothing was asked, with too few everyday words, and for a part of a selection."""
+    """As of ``Answer``, for this thing alone. None if nothing was asked, with too few everyday words, and for a part of
+    a selection."""
     position: Tensor
     """[3] float64 world units: the weighted median of its Gaussians."""
     box: OrientedBox
@@ -191,12 +191,13 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
     assert known is not None
     assert table is not None
     assert thing.number is not None
-    fits = known.fits(one.queries)[:, 0].tolist()
+    every = known.fits(one.queries)
+    fits = every[:, 0].tolist()
     inside = table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
     best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
     if best == thing.number:
         return thing
-    (score,) = text_scores(one, known.best_fits, named_texts(table, one))
+    (score,) = known.text_scores(one, every, named_texts(table, one))
     best_parts = [
         replace(part, text=text, score=score(fits[best], best)) for part in Thing.of_table(field, [best])
     ]

@@ -63,7 +63,7 @@ BEST_SCORES = 5
 """Views that count for the presence of a text."""
 EVEN_SCORE = 0.05
 """The mean score at which a text is as likely present as not. So, with the field's odds (``scoup.query.named``), one in
-twenty present texts has less than 0.37, the least of what is present."""
+twenty present texts has less than 0.37, the least of what was present when this was tuned."""
 
 # Codes on another splat.
 NEAREST = 4
