@@ -22,16 +22,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from torch import Tensor
 
+from scoup.archive.database import WHERE_SECONDS, connect, matching_things
 from scoup.archive.kept_scans import KeptScans, file_of, free_row, scan_names, vector_bytes
-from scoup.archive.scan_files import (
-    OwnColumns,
-    Scan,
-    arrays_of,
-    check_columns,
-    connect,
-    read_places,
-    write_scan,
-)
+from scoup.archive.scan_files import OwnColumns, Scan, arrays_of, check_columns, read_places, write_scan
 from scoup.archive.search import (
     AskedScans,
     Encode,
@@ -133,6 +126,7 @@ class Archive:
     Args:
         folder: made when the first scan is added.
         encoder: of texts; by default the word table or model that the field added first names.
+        where_seconds: time limit of a condition (`where`), which also has one of 4 GB of memory.
 
     Raises:
         MissingFileError, FileFormatError: ``archive.json`` is missing or damaged.
@@ -151,9 +145,11 @@ class Archive:
         {}
     """
 
-    def __init__(self, folder: str | Path, encoder: Encoder | None = None) -> None:
+    def __init__(
+        self, folder: str | Path, encoder: Encoder | None = None, where_seconds: float = WHERE_SECONDS
+    ) -> None:
         check_arguments("Archive", folder=(folder, Path))
-        self.folder = Path(folder)
+        self.folder, self._where_seconds = Path(folder), where_seconds
         if self.folder.is_file():
             problem = "is a file, expected the folder of an archive"
             raise FileFormatError(self.folder, problem, "check the path")
@@ -373,7 +369,7 @@ class Archive:
     def _cursor(self) -> DuckDBPyConnection:
         """Return a cursor of the one connection, which is opened on first use."""
         if self._connection is None:
-            self._connection = connect(self.folder)
+            self._connection = connect()
         return self._connection.cursor()
 
     def _about(self) -> dict[str, Any]:
@@ -457,22 +453,11 @@ class Archive:
 
     def _wanted(self, where: str | None, scans: Mapping[str, Scan]) -> Wanted:
         """Return by number the scans with things for which a condition holds, and these things."""
-        import duckdb
-
         if where is None or not scans:
             return dict.fromkeys(range(len(scans)))
-        try:
-            # An expression, not a statement: it reads, and only this folder (``connect``).
-            files = [str(scan.file) for scan in scans.values()]
-            every = self._cursor().read_parquet(files, union_by_name=True, filename=True)
-            rows = every.filter(where).project("filename, thing").fetchall()
-        except duckdb.Error as error:
-            reason = " ".join(str(error).split("\n\n")[0].split())
-            raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
-        wanted: dict[str, set[int]] = {}
-        for file, thing in rows:
-            wanted.setdefault(Path(file).stem, set()).add(thing)
-        return {number: wanted[name] for number, name in enumerate(scans) if name in wanted}
+        files = [scan.file for scan in scans.values()]
+        things = matching_things(where, files, self.folder, self._where_seconds)
+        return {number: set(things[name]) for number, name in enumerate(map(str, files)) if name in things}
 
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
         """Return things with their places."""
