@@ -91,11 +91,12 @@ def test_a_viewer_serves_until_it_is_stopped(stop: signal.Signals, code: int) ->
     assert (process.returncode, err) == (code, "")
 
 
-def test_a_viewer_stops_quietly_while_requests_wait() -> None:
-    def ask(query: urllib.request.Request) -> None:
-        with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
-            urllib.request.urlopen(query)
+def ask(query: urllib.request.Request) -> None:
+    with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
+        urllib.request.urlopen(query)
 
+
+def test_a_viewer_stops_quietly_while_requests_wait() -> None:
     with served(SLOW) as (process, query):
         visitors = [threading.Thread(target=ask, args=(query,)) for _ in range(3)]
         for visitor in visitors:
@@ -200,6 +201,67 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     assert others == [one, one]
     assert server.returncode == 143
     assert "Traceback" not in said  # refused names of the host are logged
+
+
+STUCK = """
+import sys, time
+from scoup.view.scene_tools import SceneTools
+def find(self, scene: str, text: str) -> str:
+    print("asked", file=sys.stderr, flush=True)
+    time.sleep(600)
+SceneTools.find = find
+"""
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+
+
+@needs_mcp
+@pytest.mark.parametrize(("number", "code"), CODES)
+@pytest.mark.parametrize("served_over", ["pipes", "http"])
+def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int, code: int) -> None:
+    more = ["--http", "0"] if served_over == "http" else []
+    with child([sys.executable, "-c", STUCK + RUN, "mcp", "f.scoup", *more], stdin=PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        assert server.stderr is not None
+        if more:
+            address, header, _ = (server.stdout.readline().strip() for _ in range(3))
+            body = call(1, '"kettle"').encode()
+            kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
+            asked = urllib.request.Request(
+                address, body, kinds | {"Authorization": header.partition("n: ")[2]}
+            )
+            threading.Thread(target=ask, args=(asked,)).start()
+        else:
+            server.stdin.write("\n".join([FIRST, SECOND, call(1, '"kettle"'), ""]))
+            server.stdin.flush()
+        while server.stderr.readline() != "asked\n":
+            assert server.poll() is None
+        server.send_signal(number)
+        server.wait()
+    assert server.returncode == code
+
+
+@needs_mcp
+@pytest.mark.skipif(sys.platform != "linux", reason="sizes of pipes as of Linux")
+@pytest.mark.parametrize(("number", "code"), CODES)
+def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> None:
+    import fcntl
+    import termios
+
+    with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        page = fcntl.fcntl(server.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        lines = [FIRST, SECOND, *(call(number, '"kettle"') for number in range(1, 40)), ""]
+        server.stdin.write("\n".join(lines))
+        server.stdin.flush()
+        waiting = bytearray(4)
+        while int.from_bytes(waiting, sys.byteorder) < page // 2:  # the next reply has no room in the page
+            fcntl.ioctl(server.stdout, termios.FIONREAD, waiting)
+        server.send_signal(number)
+        server.wait()
+        said = server.stderr.read() if server.stderr else ""
+    assert (server.returncode, said.count("Traceback")) == (code, 0), said
 
 
 @needs_mcp

@@ -14,6 +14,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from itertools import groupby, islice
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -155,6 +156,7 @@ class Archive:
             raise FileFormatError(self.folder, problem, "check the path")
         self._encoder: Encoder | None = encoder
         self._embedder: Any = None
+        self._asking = Lock()  # of encoders, which threads cannot share; conditions do not wait for it
         self._cached: Any = (None, None)
         self._connection: DuckDBPyConnection | None = None
         if find_spec("duckdb") is None:
@@ -277,20 +279,24 @@ class Archive:
         for name, number in (("top", top), ("at_least", at_least)):
             if number is not None and number < 1:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
-        encoder = self.text_encoder()
-        search = Search.of(question, encoder, self._encode(encoder), present_from)
+        with self._asking:
+            encoder = self.text_encoder()
+            search = Search.of(question, encoder, self._encode(encoder), present_from)
 
         def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
-            index = self._kept.index(scans, search.words, search.digest)
-            asked = AskedScans(search, [*scans.values()], index)
-            answers = self._answers(asked, wanted, None if at_least else top)
-            if at_least is not None:
-                of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
-                of_scan.sort(key=len, reverse=True)
-                answers = [answer for group in of_scan[:top] if len(group) >= at_least for answer in group]
-            return self._found(scans, answers)
+            with self._asking:
+                index = self._kept.index(scans, search.words, search.digest)
+                asked = AskedScans(search, [*scans.values()], index)
+                answers = self._answers(asked, wanted, None if at_least else top)
+                if at_least is not None:
+                    of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
+                    of_scan.sort(key=len, reverse=True)
+                    answers = [
+                        answer for group in of_scan[:top] if len(group) >= at_least for answer in group
+                    ]
+                return self._found(scans, answers)
 
         return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
@@ -318,20 +324,22 @@ class Archive:
             name = Path(image).name
             with open_image(Path(image)) as opened:
                 pixels = _pixels(opened)
-        vector = self._embedded(pixels)
+        with self._asking:
+            vector = self._embedded(pixels)
 
         def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
-            index = self._kept.index(scans, vector[None], "")
-            alike = (
-                answer
-                for answer in look_alikes(
-                    index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
+            with self._asking:
+                index = self._kept.index(scans, vector[None], "")
+                alike = (
+                    answer
+                    for answer in look_alikes(
+                        index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
+                    )
+                    if _is_wanted(answer, wanted)
                 )
-                if _is_wanted(answer, wanted)
-            )
-            return self._found(scans, [*islice(alike, top)])
+                return self._found(scans, [*islice(alike, top)])
 
         return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
