@@ -12,10 +12,11 @@ import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from subprocess import PIPE, Popen
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -214,31 +215,65 @@ SceneTools.find = find
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 
 
+@contextmanager
+def served_over_http(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
+    """A server of agents, and a call with its token."""
+    with child([sys.executable, "-c", before + RUN, "mcp", "f.scoup", "--http", "0"]) as server:
+        assert server.stdout is not None
+        address, header, _ = (server.stdout.readline().strip() for _ in range(3))
+        kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
+        kinds["Authorization"] = header.partition("n: ")[2]
+        yield server, urllib.request.Request(address, call(1, '"kettle"').encode(), kinds)
+
+
 @needs_mcp
 @pytest.mark.parametrize(("number", "code"), CODES)
 @pytest.mark.parametrize("served_over", ["pipes", "http"])
 def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int, code: int) -> None:
-    more = ["--http", "0"] if served_over == "http" else []
-    with child([sys.executable, "-c", STUCK + RUN, "mcp", "f.scoup", *more], stdin=PIPE) as server:
-        assert server.stdin is not None
-        assert server.stdout is not None
-        assert server.stderr is not None
-        if more:
-            address, header, _ = (server.stdout.readline().strip() for _ in range(3))
-            body = call(1, '"kettle"').encode()
-            kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
-            asked = urllib.request.Request(
-                address, body, kinds | {"Authorization": header.partition("n: ")[2]}
-            )
+    with ExitStack() as stack:
+        if served_over == "http":
+            server, asked = stack.enter_context(served_over_http(STUCK))
             threading.Thread(target=ask, args=(asked,)).start()
         else:
+            command = [sys.executable, "-c", STUCK + RUN, "mcp", "f.scoup"]
+            server = stack.enter_context(child(command, stdin=PIPE))
+            assert server.stdin is not None
             server.stdin.write("\n".join([FIRST, SECOND, call(1, '"kettle"'), ""]))
             server.stdin.flush()
+        assert server.stderr is not None
         while server.stderr.readline() != "asked\n":
             assert server.poll() is None
         server.send_signal(number)
         server.wait()
     assert server.returncode == code
+
+
+FEW_FILES = """
+import resource
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+"""
+
+
+@needs_mcp
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+@pytest.mark.parametrize("before", ["", FEW_FILES])
+@pytest.mark.parametrize("verb", ["view", "mcp"])
+def test_connections_that_send_nothing_lock_nobody_out(verb: str, before: str) -> None:
+    with ExitStack() as stack:
+        if verb == "view":
+            server, asked = stack.enter_context(served(before))
+        else:
+            server, asked = stack.enter_context(served_over_http(before))
+        address = urlsplit(asked.full_url)
+        for number in range(200):
+            opened = stack.enter_context(socket.create_connection((address.hostname, address.port)))
+            opened.sendall(b"POST /mcp HTTP/1.1\r\nHost: 127" * (number % 2))
+        for _ in range(3):
+            with urllib.request.urlopen(asked) as answer:
+                assert b"kettle" in answer.read()
+        server.send_signal(signal.SIGTERM)
+        _, err = server.communicate()
+    assert (server.returncode, err) == (143, "")
 
 
 @needs_mcp
