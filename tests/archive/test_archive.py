@@ -365,7 +365,9 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     assert "exists" in refused("archive", "a", "mug", "--page", "found.html")
     code, out, _ = run("archive", "a", ABSENT)
     assert (code, out) == (0, f"{ABSENT}: nothing found\n")
-    assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
+    scoup.Archive("a").add(fields["kitchen"], city="Graz\nhall: 99 things")
+    assert "kitchen: 16 things of" in (listed := run("archive", "a", "--list")[1])
+    assert len(listed.splitlines()) == 4
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -286,3 +287,12 @@ def test_a_damaged_description_is_named(archive: scoup.Archive) -> None:
     path.unlink()
     with refuses(FileFormatError):
         scoup.Archive(archive.folder)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes")
+@pytest.mark.parametrize("name", ["archive.json", "office.parquet"])
+def test_pipes_in_place_of_files_are_refused(archive: scoup.Archive, name: str) -> None:
+    (archive.folder / name).unlink()
+    os.mkfifo(archive.folder / name)
+    with pytest.raises(FileFormatError, match=rf"{name}: is a named pipe \(FIFO\)"):
+        scoup.Archive(archive.folder).find("mug")

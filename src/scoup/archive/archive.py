@@ -383,6 +383,8 @@ class Archive:
     def _about(self) -> dict[str, Any]:
         """Return the contents of archive.json; empty before the first scan."""
         path = self.folder / ABOUT
+        if path.exists() and not path.is_file():
+            raise MissingFileError.of(path, "the description of an archive", "move it")
         try:
             about = json.loads(path.read_text(encoding="utf-8"))
             if about["format"] != FORMAT:

@@ -149,7 +149,8 @@ def _list(archive: Archive, console: Console, in_full: bool) -> None:
     records, counts = archive.scans(), archive.counts()
     if in_full:
         for name, record in records.items():
-            columns = "".join(f", {key} = {value}" for key, value in record.columns.items())
+            pairs = ((key, " ".join(str(value).split())) for key, value in record.columns.items())
+            columns = "".join(f", {key} = {value}" for key, value in pairs)
             console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{columns}")
     things = counted(sum(counts.values()), "thing")
     console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {things}")
