@@ -132,7 +132,7 @@ def test_nothing_is_overwritten_unasked_or_half_written(
 def test_a_second_export_of_a_page_does_no_work(
     viewed: ViewedField, tmp_path: Path, monkeypatch, split: bool
 ) -> None:
-    def again(*arguments: object) -> None:
+    def again(*arguments: object, **options: object) -> None:
         monkeypatch.undo()
         monkeypatch.setattr(export, "_words", pytest.fail)
         monkeypatch.setattr(export, "page_files", lambda: PAGE)

@@ -174,6 +174,9 @@ class KeptScans:
                 problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
                 raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
             vectors = torch.from_numpy(rows.view("<f2").reshape(len(scan), -1))
+            if not vectors.isfinite().all():
+                problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
+                raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
             yield scan.index(vectors, words, self._digest)
 
 

@@ -65,6 +65,9 @@ _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent"
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
 _PLAIN = {"field": str, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
+_PER_THING = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "placed")
+_TYPES = {"levels": torch.uint8, "usable": torch.bool, "placed": torch.bool, "ends": torch.int64,
+          "others": torch.int32}  # of arrays; else float32  # fmt: skip
 _OF_NAMES = ("presence", "rows", "things", "votes")
 
 
@@ -104,7 +107,12 @@ class Scan:
     def index(self, vectors: Tensor, words: Tensor, digest: str) -> ThingIndex:
         """Return its things with their vectors [T, D], compared with words of a digest; "" if any will do."""
         known = ThingIndex.from_arrays(self.arrays, vectors, words)
-        return known if digest in (self.words, "") else known.with_words(words)
+        if digest not in (self.words, ""):
+            return known.with_words(words)
+        if digest and self.arrays["best_fits"].shape[1] != len(words):
+            problem = "is damaged: its things were compared with other words than it says"
+            raise FileFormatError(self.file, problem, "add its field again, or remove the file")
+        return known
 
 
 def arrays_of(index: ThingIndex, names: NameTable | None, placed: Tensor) -> dict[str, Tensor]:
@@ -145,9 +153,34 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
         load(base64.b64decode(header["arrays"])),
     )
     levels, columns = next(texts), check_columns(header["columns"])
-    if not len(arrays["levels"]) or int(arrays["levels"].max()) >= len(levels):
+    _check_arrays(arrays, len(levels))
+    scan = Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    if scan.names is not None:
+        scan.names.check(len(scan))
+    if scan.row < 0:
+        raise ValueError("its first row is negative")
+    return scan
+
+
+def _check_arrays(arrays: Mapping[str, Tensor], n_levels: int) -> None:
+    """Refuse arrays that do not fit together, even if the checksum is right."""
+    count, pairs = len(arrays["levels"]), len(arrays["others"])
+    fits = arrays["best_fits"]
+    shapes = {**dict.fromkeys(_PER_THING, (count,)), "ends": (count + 1,), "others": (pairs,),
+              "gaussians": (pairs,), "best_fits": (1, fits.shape[-1])}  # fmt: skip
+    for name, shape in shapes.items():
+        array, wanted = arrays[name], _TYPES.get(name, torch.float32)
+        # Where a scan has a single thing, words have -inf as their best fit.
+        damaged = array.isnan() if name == "best_fits" else ~array.isfinite()
+        if array.shape != shape or array.dtype != wanted or damaged.any():
+            raise ValueError(f"{name} is not finite, or not {wanted} {list(shape)}")
+    if not count or int(arrays["levels"].max()) >= n_levels:
         raise ValueError("a thing is of an unknown level")
-    return Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    ends, others = arrays["ends"], arrays["others"]
+    if int(ends[0]) or int(ends[-1]) != pairs or (ends.diff() < 0).any():
+        raise ValueError("pairs of things are not in order")
+    if not ((others >= 0) & (others < count)).all():
+        raise ValueError(f"a pair names a thing beyond the {count}")
 
 
 def read_places(
