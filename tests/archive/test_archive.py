@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,9 +26,10 @@ from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
+from scoup.archive.database import call, connect
 from scoup.archive.page import results_page
 from scoup.archive.search import Found, look_alikes, rank_of
-from scoup.base import InputError, ScoupWarning
+from scoup.base import InputError, ScoupError, ScoupWarning
 from scoup.field import NameTable
 from scoup.models import WordTable
 from scoup.models.image import open_image_model
@@ -187,11 +189,40 @@ def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive, fi
 
 @pytest.mark.parametrize(
     "where",
-    ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", ""],
-)
+    ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", "",
+     "(SELECT count(*) FROM (COPY things TO 'a.csv')) > 0", "error('\\0') = 1", "\ud800 = 1"],
+)  # fmt: skip
 def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
     with pytest.raises(InputError, match="condition"):
         archive.find("mug", where=where)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.parametrize(("where", "reason"), [
+    ("(SELECT count(*) FROM range(20000000000000)) > 0", "more than 2 seconds"),
+    ("list_sum(list_transform(range(3000), lambda x: x + length(repeat('x', 400000000)))) > 0", "more than 2 seconds"),
+    ("list_sum(range(4000000000)) > 0", "memory"),
+])  # fmt: skip
+def test_a_condition_takes_so_much_and_no_more(archive: scoup.Archive, where: str, reason: str) -> None:
+    archive = scoup.Archive(archive.folder, where_seconds=2)
+    with pytest.raises(InputError, match=f"cannot be used: .*{reason}"):
+        archive.find("mug", where=where)
+
+
+def test_errors_of_duckdb_are_ours(archive: scoup.Archive) -> None:
+    connection = connect()
+    connection.execute("SET memory_limit = '20MB'")
+    connection.execute("SET temp_directory = ''")
+    for query, error in (
+        ("SELECT list(range::VARCHAR || 'x') FROM range(9000000)", ScoupError),
+        ("SELECT 1 +", InputError),
+        ("COPY (SELECT 1) TO '/nowhere/a.parquet' (FORMAT parquet)", FileNotFoundError),
+    ):
+        with pytest.raises(error):
+            call(connection, lambda opened, query=query: opened.execute(query).fetchall())
+    room = Path(str(scoup.archive.__file__)).parent
+    users = [path.name for path in room.glob("*.py") if "import duckdb" in path.read_text(encoding="utf-8")]
+    assert users == ["database.py"]
 
 
 def test_a_field_that_left_or_changed_answers_no_phrase(fields: Fields, tmp_path: Path) -> None:
@@ -334,7 +365,9 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     assert "exists" in refused("archive", "a", "mug", "--page", "found.html")
     code, out, _ = run("archive", "a", ABSENT)
     assert (code, out) == (0, f"{ABSENT}: nothing found\n")
-    assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
+    scoup.Archive("a").add(fields["kitchen"], city="Graz\nhall: 99 things")
+    assert "kitchen: 16 things of" in (listed := run("archive", "a", "--list")[1])
+    assert len(listed.splitlines()) == 4
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
 

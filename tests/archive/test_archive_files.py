@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import os
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -16,13 +19,14 @@ from unittest.mock import Mock
 
 import pytest
 import torch
+from safetensors.torch import load, save
 
 import scoup
 from messages import refuses
 from query import planted_room as planted
 from query.planted_room import planted_room
 from scoup.archive import archive as archive_module
-from scoup.archive import kept_scans
+from scoup.archive import kept_scans, scan_files
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
 from scoup.base import FileFormatError, UnknownNameError
@@ -120,6 +124,22 @@ def test_a_damaged_matrix_is_named(archive: scoup.Archive, fields: Fields, damag
     for floor, name in enumerate(fields):
         archive.add(fields[name], floor=floor, city="Graz")
     assert found_by(scoup.Archive(archive.folder)) == wanted
+
+
+def test_a_matrix_with_nan_and_the_right_checksum_is_named(archive: scoup.Archive) -> None:
+    matrix, scan = archive.folder / MATRIX, archive.scans()["office"]
+    data = bytearray(matrix.read_bytes())
+    start, end = (2 * planted.DIM * row for row in (scan.row, scan.row + len(scan)))
+    data[start : start + 2] = b"\xff\x7f"
+    matrix.write_bytes(data)
+
+    def seal(header: dict[str, Any]) -> None:
+        header["vectors_checksum"] = zlib.crc32(data[start:end])
+        header["checksum"] = scan_files._checksum(header)
+
+    rewrite(scan.file, seal)
+    with pytest.raises(FileFormatError, match="not finite, in the vectors of the scan office"):
+        scoup.Archive(archive.folder).find("mug")
 
 
 def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
@@ -253,6 +273,30 @@ HEADERS: list[Callable[[dict[str, Any]], Any]] = [
     lambda header: header.update(texts=["mug"]),
     lambda header: header.update(columns={"Floor": 1}),
 ]
+
+
+def with_array(name: str, change: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[dict[str, Any]], Any]:
+    """Return a change of one array of a scan, with the checksum it then has."""
+
+    def changed(header: dict[str, Any]) -> None:
+        arrays = load(base64.b64decode(header["arrays"]))
+        arrays[name] = change(arrays[name]).contiguous()
+        header["arrays"] = base64.b64encode(save(arrays)).decode()
+        header["checksum"] = scan_files._checksum(header)
+
+    return changed
+
+
+SEALED = [
+    *(with_array(name, lambda array: array[:-1]) for name in scan_files._PER_THING),
+    *(with_array(name, lambda array: array[..., :-1]) for name in ("ends", "others", "gaussians", "best_fits")),
+    *(with_array(name, lambda array: array * torch.nan)
+      for name in ("counts", "mass", "doubt", "spread", "hubs", "gaussians", "best_fits")),
+    *(with_array(name, lambda array: array.double()) for name in ("counts", "levels", "usable", "others")),
+    *(with_array(name, lambda array: array + 100) for name in ("others", "ends", "levels")),
+    with_array("others", torch.neg),
+    with_array("ends", lambda array: array.flip(0)),
+]  # fmt: skip
 COLUMNS = [
     "EXCLUDE (position)",
     "REPLACE ([1.0, 2.0] AS position)",
@@ -265,6 +309,7 @@ COLUMNS = [
 @pytest.mark.parametrize("damage", [
     *(lambda path, change=change: path.write_bytes(change(path.read_bytes())) for change in BYTES),
     *(partial(rewrite, change=change) for change in HEADERS),
+    *(partial(rewrite, change=change) for change in SEALED),
     *(partial(rewrite, column=column) for column in COLUMNS),
 ])  # fmt: skip
 def test_a_damaged_scan_is_named(
@@ -286,3 +331,12 @@ def test_a_damaged_description_is_named(archive: scoup.Archive) -> None:
     path.unlink()
     with refuses(FileFormatError):
         scoup.Archive(archive.folder)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes")
+@pytest.mark.parametrize("name", ["archive.json", "office.parquet"])
+def test_pipes_in_place_of_files_are_refused(archive: scoup.Archive, name: str) -> None:
+    (archive.folder / name).unlink()
+    os.mkfifo(archive.folder / name)
+    with pytest.raises(FileFormatError, match=rf"{name}: is a named pipe \(FIFO\)"):
+        scoup.Archive(archive.folder).find("mug")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import sys
 import warnings
@@ -11,7 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 import scoup
 from children import finished
@@ -209,3 +212,11 @@ def test_shells_that_close_streams(preloaded_python: str) -> None:
     assert in_a_shell(sys.executable, *convert, "--overwrite", ending="<&- >&- 2>&-") == 0
     assert run("info", "a.splat")[0] == 0
     assert in_a_shell(preloaded_python, "build nowhere --out b.scoup", ending="2>&1 | true") == 2
+
+
+def test_json_has_neither_nan_nor_infinity(capsys: pytest.CaptureFixture[str]) -> None:
+    odd = (math.nan, [-math.inf, np.float32("nan")], {"a": torch.tensor(math.inf)}, Path("a"), 1.5)
+    Console(Common(as_json=True)).result({"odd": odd})
+    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {
+        "odd": [None, [None, None], {"a": None}, "a", 1.5]
+    }

@@ -128,6 +128,33 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     assert "1 view made, 3 already there" in out
 
 
+WHERE = """
+from scoup.archive import archive
+matching = archive.matching_things
+def announced(*asked):
+    print("asked", flush=True)
+    return matching(*asked)
+archive.matching_things = announced
+from scoup.cli.app import entry
+entry()
+"""
+ENDLESS = "(select count(*) from range(20000000000000)) > 0", "length(repeat('x', 4000000000)) > 0"
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("where", ENDLESS)
+def test_conditions_that_do_not_end_are_stopped(where: str, number: int, code: int) -> None:
+    pytest.importorskip("duckdb")
+    printed("archive", "a", "--add", "f.scoup")
+    with child([PYTHON, "-c", WHERE, "archive", "a", "kettle", "--where", where]) as search:
+        assert search.stdout is not None
+        assert search.stdout.readline() == "asked\n"
+        search.send_signal(number)
+        _, err = search.communicate()
+    said = {130: "interrupted", 143: "terminated"}[code]
+    assert (search.returncode, err) == (code, f"error: {said}; nothing was written\n")
+
+
 @pytest.mark.parametrize(("command", "inside"), [
     ("query f.scoup kettle --out new/answers", "scoup.query.field_view.FieldView.show"),
     ("select f.scoup kettle --out new/a.ply", "scoup.query.ask.each_answer"),

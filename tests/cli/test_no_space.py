@@ -46,11 +46,12 @@ VERBS = {name: tuple(command.split()) for name, command in {
     "render": "render f.scoup --out pictures --camera all",
     "animation": "render f.scoup --out a.gif --camera all",
     "regions": "extract scene --show view_00",
+    "archive": "archive scans --add f.scoup",
     "demo": f"demo {SIZE} --out demo",
     "synthetic": f"eval synthetic lerf-ovs data {SIZE} --scenes 1 --labelled 1",
 }.items()}  # fmt: skip
 # Of these, what is complete stays for the same command to continue.
-RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "regions.json")
+RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "regions.json", "archive.json", ".f16")
 
 
 @pytest.fixture(scope="session")

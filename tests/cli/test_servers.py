@@ -12,10 +12,11 @@ import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from subprocess import PIPE, Popen
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -91,11 +92,12 @@ def test_a_viewer_serves_until_it_is_stopped(stop: signal.Signals, code: int) ->
     assert (process.returncode, err) == (code, "")
 
 
-def test_a_viewer_stops_quietly_while_requests_wait() -> None:
-    def ask(query: urllib.request.Request) -> None:
-        with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
-            urllib.request.urlopen(query)
+def ask(query: urllib.request.Request) -> None:
+    with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
+        urllib.request.urlopen(query)
 
+
+def test_a_viewer_stops_quietly_while_requests_wait() -> None:
     with served(SLOW) as (process, query):
         visitors = [threading.Thread(target=ask, args=(query,)) for _ in range(3)]
         for visitor in visitors:
@@ -200,6 +202,101 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     assert others == [one, one]
     assert server.returncode == 143
     assert "Traceback" not in said  # refused names of the host are logged
+
+
+STUCK = """
+import sys, time
+from scoup.view.scene_tools import SceneTools
+def find(self, scene: str, text: str) -> str:
+    print("asked", file=sys.stderr, flush=True)
+    time.sleep(600)
+SceneTools.find = find
+"""
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+
+
+@contextmanager
+def served_over_http(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
+    """A server of agents, and a call with its token."""
+    with child([sys.executable, "-c", before + RUN, "mcp", "f.scoup", "--http", "0"]) as server:
+        assert server.stdout is not None
+        address, header, _ = (server.stdout.readline().strip() for _ in range(3))
+        kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
+        kinds["Authorization"] = header.partition("n: ")[2]
+        yield server, urllib.request.Request(address, call(1, '"kettle"').encode(), kinds)
+
+
+@needs_mcp
+@pytest.mark.parametrize(("number", "code"), CODES)
+@pytest.mark.parametrize("served_over", ["pipes", "http"])
+def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int, code: int) -> None:
+    with ExitStack() as stack:
+        if served_over == "http":
+            server, asked = stack.enter_context(served_over_http(STUCK))
+            threading.Thread(target=ask, args=(asked,)).start()
+        else:
+            command = [sys.executable, "-c", STUCK + RUN, "mcp", "f.scoup"]
+            server = stack.enter_context(child(command, stdin=PIPE))
+            assert server.stdin is not None
+            server.stdin.write("\n".join([FIRST, SECOND, call(1, '"kettle"'), ""]))
+            server.stdin.flush()
+        assert server.stderr is not None
+        while server.stderr.readline() != "asked\n":
+            assert server.poll() is None
+        server.send_signal(number)
+        server.wait()
+    assert server.returncode == code
+
+
+FEW_FILES = """
+import resource
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+"""
+
+
+@needs_mcp
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+@pytest.mark.parametrize("before", ["", FEW_FILES])
+@pytest.mark.parametrize("verb", ["view", "mcp"])
+def test_connections_that_send_nothing_lock_nobody_out(verb: str, before: str) -> None:
+    with ExitStack() as stack:
+        if verb == "view":
+            server, asked = stack.enter_context(served(before))
+        else:
+            server, asked = stack.enter_context(served_over_http(before))
+        address = urlsplit(asked.full_url)
+        for number in range(200):
+            opened = stack.enter_context(socket.create_connection((address.hostname, address.port)))
+            opened.sendall(b"POST /mcp HTTP/1.1\r\nHost: 127" * (number % 2))
+        for _ in range(3):
+            with urllib.request.urlopen(asked) as answer:
+                assert b"kettle" in answer.read()
+        server.send_signal(signal.SIGTERM)
+        _, err = server.communicate()
+    assert (server.returncode, err) == (143, "")
+
+
+@needs_mcp
+@pytest.mark.skipif(sys.platform != "linux", reason="sizes of pipes as of Linux")
+@pytest.mark.parametrize(("number", "code"), CODES)
+def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> None:
+    import fcntl
+    import termios
+
+    with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        page = fcntl.fcntl(server.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        lines = [FIRST, SECOND, *(call(number, '"kettle"') for number in range(1, 40)), ""]
+        server.stdin.write("\n".join(lines))
+        server.stdin.flush()
+        waiting = bytearray(4)
+        while int.from_bytes(waiting, sys.byteorder) < page // 2:  # the next reply has no room in the page
+            fcntl.ioctl(server.stdout, termios.FIONREAD, waiting)
+        server.send_signal(number)
+        server.wait()
+        said = server.stderr.read() if server.stderr else ""
+    assert (server.returncode, said.count("Traceback")) == (code, 0), said
 
 
 @needs_mcp

@@ -128,6 +128,21 @@ def test_nothing_is_overwritten_unasked_or_half_written(
     assert out.read_text() != "mine"
 
 
+@pytest.mark.parametrize("split", [False, True])
+def test_a_second_export_of_a_page_does_no_work(
+    viewed: ViewedField, tmp_path: Path, monkeypatch, split: bool
+) -> None:
+    def again(*arguments: object, **options: object) -> None:
+        monkeypatch.undo()
+        monkeypatch.setattr(export, "_words", pytest.fail)
+        monkeypatch.setattr(export, "page_files", lambda: PAGE)
+        export_page(viewed, tmp_path / "page.html", split)
+
+    monkeypatch.setattr(ViewedField, "scene", again)
+    with pytest.raises(ScoupError, match="is being written"):
+        export_page(viewed, tmp_path / "page.html", split)
+
+
 def test_pages_tell_no_folder_of_this_machine(tmp_path: Path) -> None:
     field = random_field(cameras=False)  # and without words
     field.info = replace(field.info, words=tmp_path / "gone.npz")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable
-from threading import Lock
 from typing import Any
 
 from PIL import Image
@@ -21,8 +20,6 @@ MOST_FOUND = 200
 
 def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
     """Return the tool over an archive, for ``scoup.view.mcp_server.make_server``."""
-
-    one_at_a_time = Lock()  # the server calls tools in several threads
 
     def find_in_archive(
         text: str = "",
@@ -44,11 +41,10 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
             )
         if image is not None and (text.strip() or at_least is not None):
             raise InputError("`text` and `at_least` are for calls without `image`")
-        with one_at_a_time:
-            if image is None:
-                things = archive.find(text, where, limit, at_least)
-            else:
-                things = archive.find_image(_decoded(image), where, limit)
+        if image is None:
+            things = archive.find(text, where, limit, at_least)
+        else:
+            things = archive.find_image(_decoded(image), where, limit)
         records = [thing.to_dict() for thing in things]
         for record in records:
             del record["field"]  # a path of this machine

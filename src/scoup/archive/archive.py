@@ -14,6 +14,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from itertools import groupby, islice
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -22,16 +23,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from torch import Tensor
 
+from scoup.archive.database import WHERE_SECONDS, connect, matching_things
 from scoup.archive.kept_scans import KeptScans, file_of, free_row, scan_names, vector_bytes
-from scoup.archive.scan_files import (
-    OwnColumns,
-    Scan,
-    arrays_of,
-    check_columns,
-    connect,
-    read_places,
-    write_scan,
-)
+from scoup.archive.scan_files import OwnColumns, Scan, arrays_of, check_columns, read_places, write_scan
 from scoup.archive.search import (
     AskedScans,
     Encode,
@@ -133,6 +127,7 @@ class Archive:
     Args:
         folder: made when the first scan is added.
         encoder: of texts; by default the word table or model that the field added first names.
+        where_seconds: time limit of a condition (`where`), which also has one of 4 GB of memory.
 
     Raises:
         MissingFileError, FileFormatError: ``archive.json`` is missing or damaged.
@@ -151,14 +146,17 @@ class Archive:
         {}
     """
 
-    def __init__(self, folder: str | Path, encoder: Encoder | None = None) -> None:
+    def __init__(
+        self, folder: str | Path, encoder: Encoder | None = None, where_seconds: float = WHERE_SECONDS
+    ) -> None:
         check_arguments("Archive", folder=(folder, Path))
-        self.folder = Path(folder)
+        self.folder, self._where_seconds = Path(folder), where_seconds
         if self.folder.is_file():
             problem = "is a file, expected the folder of an archive"
             raise FileFormatError(self.folder, problem, "check the path")
         self._encoder: Encoder | None = encoder
         self._embedder: Any = None
+        self._asking = Lock()  # of encoders, which threads cannot share; conditions do not wait for it
         self._cached: Any = (None, None)
         self._connection: DuckDBPyConnection | None = None
         if find_spec("duckdb") is None:
@@ -281,20 +279,24 @@ class Archive:
         for name, number in (("top", top), ("at_least", at_least)):
             if number is not None and number < 1:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
-        encoder = self.text_encoder()
-        search = Search.of(question, encoder, self._encode(encoder), present_from)
+        with self._asking:
+            encoder = self.text_encoder()
+            search = Search.of(question, encoder, self._encode(encoder), present_from)
 
         def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
-            index = self._kept.index(scans, search.words, search.digest)
-            asked = AskedScans(search, [*scans.values()], index)
-            answers = self._answers(asked, wanted, None if at_least else top)
-            if at_least is not None:
-                of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
-                of_scan.sort(key=len, reverse=True)
-                answers = [answer for group in of_scan[:top] if len(group) >= at_least for answer in group]
-            return self._found(scans, answers)
+            with self._asking:
+                index = self._kept.index(scans, search.words, search.digest)
+                asked = AskedScans(search, [*scans.values()], index)
+                answers = self._answers(asked, wanted, None if at_least else top)
+                if at_least is not None:
+                    of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
+                    of_scan.sort(key=len, reverse=True)
+                    answers = [
+                        answer for group in of_scan[:top] if len(group) >= at_least for answer in group
+                    ]
+                return self._found(scans, answers)
 
         return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
@@ -322,20 +324,22 @@ class Archive:
             name = Path(image).name
             with open_image(Path(image)) as opened:
                 pixels = _pixels(opened)
-        vector = self._embedded(pixels)
+        with self._asking:
+            vector = self._embedded(pixels)
 
         def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
             if not (wanted := self._wanted(where, scans)):
                 return []
-            index = self._kept.index(scans, vector[None], "")
-            alike = (
-                answer
-                for answer in look_alikes(
-                    index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
+            with self._asking:
+                index = self._kept.index(scans, vector[None], "")
+                alike = (
+                    answer
+                    for answer in look_alikes(
+                        index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
+                    )
+                    if _is_wanted(answer, wanted)
                 )
-                if _is_wanted(answer, wanted)
-            )
-            return self._found(scans, [*islice(alike, top)])
+                return self._found(scans, [*islice(alike, top)])
 
         return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
@@ -373,12 +377,14 @@ class Archive:
     def _cursor(self) -> DuckDBPyConnection:
         """Return a cursor of the one connection, which is opened on first use."""
         if self._connection is None:
-            self._connection = connect(self.folder)
+            self._connection = connect()
         return self._connection.cursor()
 
     def _about(self) -> dict[str, Any]:
         """Return the contents of archive.json; empty before the first scan."""
         path = self.folder / ABOUT
+        if path.exists() and not path.is_file():
+            raise MissingFileError.of(path, "the description of an archive", "move it")
         try:
             about = json.loads(path.read_text(encoding="utf-8"))
             if about["format"] != FORMAT:
@@ -457,22 +463,11 @@ class Archive:
 
     def _wanted(self, where: str | None, scans: Mapping[str, Scan]) -> Wanted:
         """Return by number the scans with things for which a condition holds, and these things."""
-        import duckdb
-
         if where is None or not scans:
             return dict.fromkeys(range(len(scans)))
-        try:
-            # An expression, not a statement: it reads, and only this folder (``connect``).
-            files = [str(scan.file) for scan in scans.values()]
-            every = self._cursor().read_parquet(files, union_by_name=True, filename=True)
-            rows = every.filter(where).project("filename, thing").fetchall()
-        except duckdb.Error as error:
-            reason = " ".join(str(error).split("\n\n")[0].split())
-            raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
-        wanted: dict[str, set[int]] = {}
-        for file, thing in rows:
-            wanted.setdefault(Path(file).stem, set()).add(thing)
-        return {number: wanted[name] for number, name in enumerate(scans) if name in wanted}
+        files = [scan.file for scan in scans.values()]
+        things = matching_things(where, files, self.folder, self._where_seconds)
+        return {number: set(things[name]) for number, name in enumerate(map(str, files)) if name in things}
 
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
         """Return things with their places."""

@@ -8,6 +8,7 @@ meanwhile.
 from __future__ import annotations
 
 import os
+import stat
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -20,7 +21,7 @@ import torch
 from torch import Tensor
 
 from scoup.archive.scan_files import ENDING, Scan, read_scans
-from scoup.base import FileFormatError, WriteError, locked, refuse_pointer
+from scoup.base import FileFormatError, MissingFileError, WriteError, locked, refuse_pointer
 from scoup.query import ThingIndex
 
 if TYPE_CHECKING:
@@ -134,9 +135,13 @@ class KeptScans:
     def _listed(self) -> dict[str, Stamp]:
         stamps: dict[str, Stamp] = {}
         for name in scan_names(self._folder):
-            with suppress(FileNotFoundError):  # removed meanwhile
-                state = os.stat(f"{self._folder}/{name}{ENDING}")
-                stamps[name] = state.st_mtime_ns, state.st_size
+            try:
+                state = os.stat(file := f"{self._folder}/{name}{ENDING}")
+            except FileNotFoundError:  # removed meanwhile
+                continue
+            if not stat.S_ISREG(state.st_mode):  # whoever opens a pipe waits for its writer
+                raise MissingFileError.of(file, "a scan of an archive", "move it")
+            stamps[name] = state.st_mtime_ns, state.st_size
         return stamps
 
     def _changed(self, stamps: Mapping[str, Stamp], names: Iterable[str]) -> bool:
@@ -169,6 +174,9 @@ class KeptScans:
                 problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
                 raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
             vectors = torch.from_numpy(rows.view("<f2").reshape(len(scan), -1))
+            if not vectors.isfinite().all():
+                problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
+                raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
             yield scan.index(vectors, words, self._digest)
 
 

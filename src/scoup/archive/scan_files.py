@@ -20,11 +20,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
+from scoup.archive.database import call, connect, quoted
 from scoup.base import (
     FileFormatError,
     InputError,
     MissingFileError,
-    ScoupError,
+    WriteError,
     atomic_path,
     check_format_version,
     refuse_pointer,
@@ -64,6 +65,9 @@ _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent"
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
 _PLAIN = {"field": str, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
+_PER_THING = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "placed")
+_TYPES = {"levels": torch.uint8, "usable": torch.bool, "placed": torch.bool, "ends": torch.int64,
+          "others": torch.int32}  # of arrays; else float32  # fmt: skip
 _OF_NAMES = ("presence", "rows", "things", "votes")
 
 
@@ -103,7 +107,12 @@ class Scan:
     def index(self, vectors: Tensor, words: Tensor, digest: str) -> ThingIndex:
         """Return its things with their vectors [T, D], compared with words of a digest; "" if any will do."""
         known = ThingIndex.from_arrays(self.arrays, vectors, words)
-        return known if digest in (self.words, "") else known.with_words(words)
+        if digest not in (self.words, ""):
+            return known.with_words(words)
+        if digest and self.arrays["best_fits"].shape[1] != len(words):
+            problem = "is damaged: its things were compared with other words than it says"
+            raise FileFormatError(self.file, problem, "add its field again, or remove the file")
+        return known
 
 
 def arrays_of(index: ThingIndex, names: NameTable | None, placed: Tensor) -> dict[str, Tensor]:
@@ -121,11 +130,9 @@ def read_scans(files: Sequence[Path], connection: DuckDBPyConnection) -> list[Sc
     """
 
     def read(files: Sequence[Path]) -> list[Scan]:
-        texts = connection.execute(
-            "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'",
-            {"files": [str(file) for file in files]},
-        ).fetchall()
-        headers = dict(texts)
+        query = "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'"
+        names = {"files": [str(file) for file in files]}
+        headers = dict(call(connection, lambda opened: opened.execute(query, names).fetchall()))
         return [_scan(file, json.loads(headers.get(str(file), b"{}"))) for file in files]
 
     return _read(read, files, lambda file: file)
@@ -146,9 +153,34 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
         load(base64.b64decode(header["arrays"])),
     )
     levels, columns = next(texts), check_columns(header["columns"])
-    if not len(arrays["levels"]) or int(arrays["levels"].max()) >= len(levels):
+    _check_arrays(arrays, len(levels))
+    scan = Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    if scan.names is not None:
+        scan.names.check(len(scan))
+    if scan.row < 0:
+        raise ValueError("its first row is negative")
+    return scan
+
+
+def _check_arrays(arrays: Mapping[str, Tensor], n_levels: int) -> None:
+    """Refuse arrays that do not fit together, even if the checksum is right."""
+    count, pairs = len(arrays["levels"]), len(arrays["others"])
+    fits = arrays["best_fits"]
+    shapes = {**dict.fromkeys(_PER_THING, (count,)), "ends": (count + 1,), "others": (pairs,),
+              "gaussians": (pairs,), "best_fits": (1, fits.shape[-1])}  # fmt: skip
+    for name, shape in shapes.items():
+        array, wanted = arrays[name], _TYPES.get(name, torch.float32)
+        # Where a scan has a single thing, words have -inf as their best fit.
+        damaged = array.isnan() if name == "best_fits" else ~array.isfinite()
+        if array.shape != shape or array.dtype != wanted or damaged.any():
+            raise ValueError(f"{name} is not finite, or not {wanted} {list(shape)}")
+    if not count or int(arrays["levels"].max()) >= n_levels:
         raise ValueError("a thing is of an unknown level")
-    return Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    ends, others = arrays["ends"], arrays["others"]
+    if int(ends[0]) or int(ends[-1]) != pairs or (ends.diff() < 0).any():
+        raise ValueError("pairs of things are not in order")
+    if not ((others >= 0) & (others < count)).all():
+        raise ValueError(f"a pair names a thing beyond the {count}")
 
 
 def read_places(
@@ -157,14 +189,15 @@ def read_places(
     """Read positions [3] and boxes of things, by scan and number; errors as of ``read_scans``."""
 
     def read(wanted: Sequence[tuple[Scan, int]]) -> list[tuple[Tensor, OrientedBox]]:
-        rows = connection.execute(
+        query = (
             f"SELECT filename, thing, {', '.join(_PLACE)} FROM read_parquet($files, filename := true)"
-            " WHERE list_contains($things, thing)",
-            {
-                "files": list({str(scan.file) for scan, _ in wanted}),
-                "things": list({thing for _, thing in wanted}),
-            },
-        ).fetchall()
+            " WHERE list_contains($things, thing)"
+        )
+        asked = {
+            "files": list({str(scan.file) for scan, _ in wanted}),
+            "things": list({thing for _, thing in wanted}),
+        }
+        rows = call(connection, lambda opened: opened.execute(query, asked).fetchall())
         places = {(file, thing): values for file, thing, *values in rows}
         located = []
         for scan, thing in wanted:
@@ -180,13 +213,11 @@ def _read(
     read: Callable[[Sequence[Item]], list[Found]], items: Sequence[Item], file_of: Callable[[Item], Path]
 ) -> list[Found]:
     """Read all items together; if that fails, one by one, and name the file that is damaged."""
-    import duckdb
-
     try:
         return read(items) if items else []
     except FileFormatError:
         raise
-    except (duckdb.Error, SafetensorError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError,
+    except (SafetensorError, ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, TypeError,
             ValueError) as error:  # fmt: skip
         if len(items) > 1:
             for item in items:
@@ -196,6 +227,8 @@ def _read(
         if not file.is_file():
             raise MissingFileError.of(file, "a scan of an archive") from error
         refuse_pointer(file)
+        if isinstance(error, OSError) and error.errno:
+            raise FileFormatError.unreadable(file, error) from error
         reason = (str(error) or type(error).__name__).splitlines()[0][:200]
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", remedy) from error
@@ -239,13 +272,14 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
         f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in scan.columns.items()
     )
     given_values = {**values, **{f"own_{name}": value for name, value in scan.columns.items()}}
-    metadata = _quoted(json.dumps(_header(scan)))
+    metadata = quoted(json.dumps(_header(scan)))
+    table_of, connection = f"CREATE TABLE things AS SELECT {columns}{extra}", connect()
     with atomic_path(scan.file, overwrite=True, wait=True) as temporary:
-        connection = connect()
-        connection.execute(f"CREATE TABLE things AS SELECT {columns}{extra}", given_values)
-        connection.execute(
-            f"COPY things TO {_quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
-        )
+        file = f"COPY things TO {quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
+        try:
+            call(connection, lambda opened: opened.execute(table_of, given_values).execute(file))
+        except OSError as error:
+            raise WriteError.of(temporary, error) from error
 
 
 def _header(scan: Scan) -> dict[str, Any]:
@@ -265,24 +299,6 @@ def _checksum(header: Mapping[str, Any]) -> int:
     return zlib.crc32(header["arrays"].encode(), zlib.crc32(json.dumps(rest, sort_keys=True).encode()))
 
 
-def connect(folder: Path | None = None) -> DuckDBPyConnection:
-    """Open a database in memory; with a folder, conditions that users write read nothing else and write nothing.
-
-    Raises:
-        ScoupError: DuckDB is not installed.
-    """
-    try:
-        import duckdb
-    except ImportError as error:
-        raise ScoupError("an archive needs the package duckdb: pip install 'scoup[archive]'") from error
-    connection = duckdb.connect(":memory:")
-    if folder is not None:
-        connection.execute(f"SET allowed_directories = [{_quoted(str(folder.absolute()))}]")
-        connection.execute("SET enable_external_access = false")
-        connection.execute("SET lock_configuration = true")
-    return connection
-
-
 def check_columns(columns: Any) -> OwnColumns:
     """Refuse names and values that are no columns of a user's."""
     for name, value in dict(columns).items():
@@ -300,8 +316,3 @@ def check_columns(columns: Any) -> OwnColumns:
         if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
             raise InputError(f"column {name}: expected a text of valid Unicode, got {value!r}")
     return columns
-
-
-def _quoted(text: str) -> str:
-    """Return a text as SQL."""
-    return "'" + text.replace("'", "''") + "'"

@@ -15,6 +15,7 @@ from scoup.cli.options import (
     Model,
     WritesCommon,
     arg,
+    check_number,
 )
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ class SearchOptions:
     """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
     where: str | None = None
     """A condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100"."""
+    where_seconds: float = 30
+    """Time limit of --where, in seconds."""
     top: int = 20
     """Most things to return; with --at-least, most scans."""
     at_least: int | None = None
@@ -83,7 +86,8 @@ class SearchArchive:
             raise InputError("--set is for --add")
         if search.page is not None and not is_search:
             raise InputError("--page is for TEXT and --image")
-        archive = Archive(self.folder, search.text)
+        check_number("--where-seconds", search.where_seconds, 0.001, 86_400)
+        archive = Archive(self.folder, search.text, search.where_seconds)
         if is_search:
             return self._search(archive, console)
         if len({path.stem for path in scan.add}) < len(scan.add):
@@ -145,7 +149,8 @@ def _list(archive: Archive, console: Console, in_full: bool) -> None:
     records, counts = archive.scans(), archive.counts()
     if in_full:
         for name, record in records.items():
-            columns = "".join(f", {key} = {value}" for key, value in record.columns.items())
+            pairs = ((key, " ".join(str(value).split())) for key, value in record.columns.items())
+            columns = "".join(f", {key} = {value}" for key, value in pairs)
             console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{columns}")
     things = counted(sum(counts.values()), "thing")
     console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {things}")

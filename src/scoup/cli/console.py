@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -86,7 +87,7 @@ class Console:
             if self.warnings:
                 record = {**record, "warnings": self.warnings}
             with _printing():
-                print(json.dumps(record, indent=2, default=_plain), flush=True)
+                print(as_json(record), flush=True)
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
@@ -249,9 +250,17 @@ def check_device(device: str) -> None:
         raise InputError(f"--device {device}: this torch ({torch.__version__}) has no such device; use cpu")
 
 
+def as_json(record: Any) -> str:
+    """Return a record as JSON, which has no NaN and no infinity: they are null."""
+    return json.dumps(_plain(record), indent=2, allow_nan=False)
+
+
 def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "item"):
-        return value.item()
-    raise TypeError(f"cannot write {type(value).__name__} as JSON")
+    value = value.item() if hasattr(value, "item") else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +19,7 @@ from scoup.cli.options import (
     check_number,
 )
 from scoup.cli.query_options import check_metres
-from scoup.cli.stop import Terminated
+from scoup.cli.stop import end_soon, exit_code
 
 if TYPE_CHECKING:
     from scoup.query import LanguageField
@@ -70,10 +69,10 @@ class ServeAgents:
             more = [archive_tool(archive)]
         tools = SceneTools(fields, self.out, self.metres_per_unit, words)
         try:
-            stopped = serve(tools, more, self.http, partial(_announce, console, fields))
+            stopped = serve(tools, more, self.http, partial(_announce, console, fields), end_soon)
         except KeyboardInterrupt as stop:
-            return 143 if isinstance(stop, Terminated) else 0
-        return 143 if stopped == signal.SIGTERM else 0
+            return exit_code(stop)
+        return 128 + stopped if stopped else 0
 
     def _check_options(self) -> None:
         check_metres(self.metres_per_unit)

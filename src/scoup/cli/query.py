@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, check_output, counted, reported, staged
-from scoup.cli.console import Console, command
+from scoup.cli.console import Console, as_json, command
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
@@ -124,7 +123,7 @@ class Query:
                 everywhere = self.view.all_cameras(field, self.field)
                 videos = files.add_videos(field, places, everywhere, hidden, progress)
                 result["videos"] = [(out / name).as_posix() for name in videos]
-            write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
+            write_text(hidden / RECORD, as_json({"field": self.field, **result}))
         self._report(console, result, places, metres_per_unit)
 
     def _check_options(self) -> None:

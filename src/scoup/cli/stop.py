@@ -6,8 +6,11 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 
+GRACE = 2.0
+"""Seconds for threads that cannot be interrupted."""
 _AGAIN = 0.02  # seconds until a signal that came during an import is looked at again
 
 
@@ -25,6 +28,20 @@ def stop_on_signals() -> None:
 def exit_code(stop: KeyboardInterrupt) -> int:
     """Return 143 for a terminated program, 130 for an interrupted one."""
     return 143 if isinstance(stop, Terminated) else 130
+
+
+def end_soon(number: int) -> None:
+    """End the process if a signal has not ended it after ``GRACE`` seconds, once no output is being written."""
+
+    def end() -> None:
+        locks = sys.modules.get("scoup.base.outputs")
+        while locks is not None and locks.held:
+            time.sleep(_AGAIN)
+        os._exit(128 + number)
+
+    timer = threading.Timer(GRACE, end)
+    timer.daemon = True
+    timer.start()
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""Connections to the viewer's server: a slot for each client that asks, and none for idle ones.
+"""Connections to the servers of people and of agents: a slot for each client that asks, and none for idle ones.
 
 uvicorn ends idle connections, and refuses the newest requests beyond a number; it neither makes room for new visitors
 nor ends a connection that is slow to send a request or to read an answer.
@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from typing import Any, ClassVar
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ClassVar, Literal
 
 import h11
+import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
@@ -22,6 +25,8 @@ SECONDS = 20.0
 """For a whole request, and for reading each ``PART`` of an answer."""
 BURST = MOST // 2
 """Connections that are accepted in one go: their requests are read before as many again are."""
+OTHER_FILES = 32
+"""Open files of a server beside its connections."""
 PART = 65_536
 """Bytes of an answer that are handed to the system at a time."""
 _UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
@@ -34,25 +39,26 @@ class BoundedConnection(H11Protocol):
     the address with the most connections.
     """
 
-    prefix: ClassVar[str] = ""
-    """First part of the paths of those who have the token."""
+    has_token: ClassVar[Callable[[Any], bool] | None] = None
+    """Whether a request (its ASGI scope) has the token; None if none is needed."""
     is_stranger = False
     deadline: asyncio.TimerHandle | None = None  # while the server waits for the client
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        self.is_stranger = bool(self.prefix)
+        self.is_stranger = self.has_token is not None
         self._wait()
         opened = opened_of(self.server_state)
         strangers = [peer for peer in opened if peer.is_stranger]
-        if len(strangers) > STRANGERS:
+        most = most_connections()
+        if len(strangers) > min(STRANGERS, most // 2):
             (idlest(strangers, self) or self).end()
-        elif len(opened) > MOST:
+        elif len(opened) > most:
             (idlest(opened, self) or self).end()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        if self.scope is not None and self.scope["path"].startswith(f"{self.prefix}/"):
+        if self.scope is not None and self.has_token is not None and self.has_token(self.scope):
             self.is_stranger = False
         self._wait()
 
@@ -94,6 +100,36 @@ class BoundedConnection(H11Protocol):
         if self.deadline is not None:
             self.deadline.cancel()
             self.deadline = None
+
+
+def most_connections() -> int:
+    """Return ``MOST``, or fewer where the system allows the process few open files."""
+    with suppress(ImportError):  # on Windows
+        import resource
+
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        if files != resource.RLIM_INFINITY:
+            return max(4, min(MOST, (files - OTHER_FILES) // 2))
+    return MOST
+
+
+def server_config(
+    application: Any, has_token: Callable[[Any], bool] | None, lifespan: Literal["on", "off"]
+) -> uvicorn.Config:
+    """Return the settings of a server with bounded connections; ``has_token`` as of ``BoundedConnection``."""
+    known = has_token and staticmethod(has_token)
+    return uvicorn.Config(
+        application,
+        http=type("Connection", (BoundedConnection,), {"has_token": known}),
+        ws="none",
+        backlog=min(BURST, most_connections() // 2),
+        log_level="error",  # warnings about odd requests would fill the terminal
+        access_log=False,
+        server_header=False,
+        lifespan=lifespan,
+        timeout_graceful_shutdown=2,
+        h11_max_incomplete_event_size=65_536,
+    )
 
 
 def opened_of(server: ServerState) -> list[BoundedConnection]:

@@ -17,6 +17,7 @@ from scoup.base import (
     check_output,
     no_progress,
     reported,
+    reserved_output,
     staged,
 )
 from scoup.pictures import Picture
@@ -64,6 +65,15 @@ def export_page(
     part_files = [f"part_{number}.js" for number in range(viewed.n_parts)]
     names = (*FOLDER_FILES, *part_files)
     check_output(*(out / name for name in names) if split else (out,), overwrite=overwrite)
+    # One process at a time does the work.
+    with reserved_output(out / names[0] if split else out, overwrite):
+        return _export(viewed, out, names if split else (), overwrite, progress)
+
+
+def _export(
+    viewed: ViewedField, out: Path, names: Sequence[str], overwrite: bool, progress: Progress
+) -> ExportReport:
+    """Write the files ``names`` in a folder; without any, a single file."""
     files, settings = page_files(), viewed.settings("exported")
     words, count = _words(viewed, progress)
     first = viewed.scene(effort=9, exported=True)
@@ -82,7 +92,7 @@ def export_page(
         scene_bytes += len(packed)
         return _base64(packed)
 
-    if split:
+    if names:
         tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
         html = files.in_one(settings, f"<script>window.scoupData = {{parts: []}};</script>\n{tags}")
         old = [part for part in out.glob("part_[0-9]*.js") if overwrite and part.name not in names]
@@ -91,7 +101,9 @@ def export_page(
             scripts = {f"{name}.js": _assignment(f"window.scoupData.{name}", data[name]) for name in data}
             for name, script in scripts.items():
                 (hidden / name).write_text(script, encoding="utf-8")
-            for number, name in enumerate(part_files):  # one after another, as the page loads them
+            for number, name in enumerate(
+                names[len(FOLDER_FILES) :]
+            ):  # one after another, as the page loads them
                 script = _assignment(f"window.scoupData.parts[{number}]", encoded_part(number))
                 (hidden / name).write_text(script, encoding="utf-8")
         size = sum((out / name).stat().st_size for name in names)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ipaddress
 import secrets
 import socket
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 from urllib.parse import urlsplit
 
 MOST_BYTES = 65_536
@@ -48,6 +50,10 @@ class Guard:
     def prefix(self) -> str:
         """The first part of every path."""
         return f"/{self.token}" if self.token else ""
+
+    def has_token(self, scope: Mapping[str, Any]) -> bool:
+        """Return whether a request has the token, by its ASGI scope."""
+        return scope["path"].startswith(f"{self.prefix}/")
 
     def refuses(self, method: str, host: str | None, origin: str | None, site: str | None) -> str | None:
         """Return why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""

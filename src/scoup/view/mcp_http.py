@@ -12,7 +12,9 @@ from scoup.view.viewer import bound_socket
 HOST = "127.0.0.1"
 
 
-def serve_http(server: Any, port: int, announce: Callable[[str, str], None]) -> None:
+def serve_http(
+    server: Any, port: int, announce: Callable[[str, str], None], stopping: Callable[[int], None]
+) -> None:
     """Serve over HTTP, to this machine only, until a signal ends it.
 
     The package `mcp` refuses other names of the host than those of loopback, and requests of other sites.
@@ -21,12 +23,20 @@ def serve_http(server: Any, port: int, announce: Callable[[str, str], None]) -> 
         server: from ``scoup.view.mcp_server.make_server``.
         port: to bind to; 0 takes any.
         announce: called with the address and a new token once clients can connect.
+        stopping: called with the number of such a signal.
 
     Raises:
         InputError: the port cannot be bound to.
         KeyboardInterrupt: after SIGINT or SIGTERM, once the server has ended.
     """
     import uvicorn
+
+    from scoup.view.connections import server_config
+
+    class Server(uvicorn.Server):
+        def handle_exit(self, sig: int, frame: Any) -> None:
+            stopping(sig)
+            super().handle_exit(sig, frame)
 
     token = secrets.token_urlsafe(24)
     inner = server.streamable_http_app(
@@ -35,15 +45,8 @@ def serve_http(server: Any, port: int, announce: Callable[[str, str], None]) -> 
     with bound_socket(HOST, port) as listening:
         listening.listen()  # clients wait until the server runs
         announce(f"http://{HOST}:{listening.getsockname()[1]}/mcp", token)
-        config = uvicorn.Config(
-            _WithToken(inner, token),
-            log_level="error",
-            access_log=False,
-            ws="none",
-            timeout_graceful_shutdown=2,
-            limit_concurrency=64,
-        )
-        uvicorn.Server(config).run(sockets=[listening])
+        guarded = _WithToken(inner, token)
+        Server(server_config(guarded, guarded.has_token, "on")).run(sockets=[listening])
 
 
 class _WithToken:
@@ -53,14 +56,18 @@ class _WithToken:
         self.inner = inner
         self.expected = f"Bearer {token}".encode()
 
+    def has_token(self, scope: Any) -> bool:
+        """Return whether a request has the token, by its ASGI scope."""
+        given = dict(scope.get("headers", ())).get(b"authorization", b"")
+        return secrets.compare_digest(given, self.expected)
+
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         from starlette.responses import PlainTextResponse
 
-        given = dict(scope.get("headers", ())).get(b"authorization", b"")
         refusal = PlainTextResponse(
             "send the header Authorization: Bearer TOKEN, with the token that scoup mcp printed",
             401,
-            {"www-authenticate": "Bearer"},
+            {"www-authenticate": "Bearer", "connection": "close"},
         )
-        is_refused = scope["type"] == "http" and not secrets.compare_digest(given, self.expected)
+        is_refused = scope["type"] == "http" and not self.has_token(scope)
         await (refusal if is_refused else self.inner)(scope, receive, send)

@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -86,20 +87,27 @@ def serve(
     more: Iterable[Callable[..., Any]],
     port: int | None,
     announce: Callable[[str, str], None],
+    stopping: Callable[[int], None],
 ) -> int | None:
     """Serve tools (``make_server``) over HTTP (``serve_http``); without a port over standard input and output, until
-    the input ends (None), or a signal ends it: return its number. Without a port, ``announce`` gets no address."""
+    the input ends (None), or a signal ends it: return its number. Without a port, ``announce`` gets no address.
+
+    A signal ends no tool that runs, and no write to a client that does not read: ``stopping`` is called at once with
+    its number, and may end the process."""
     server = make_server(tools, more)
     if port is not None:
-        return serve_http(server, port, announce)
+        return serve_http(server, port, announce, stopping)
     announce("", "")
     stopped: list[int] = []
-    with suppress(asyncio.CancelledError):
-        asyncio.run(_serve(server, stopped))
+    try:
+        asyncio.run(_serve(server, stopped, stopping))
+    except (Exception, asyncio.CancelledError):
+        if not stopped:  # else a task of the package that was cut off
+            raise
     return stopped[0] if stopped else None
 
 
-async def _serve(server: Any, stopped: list[int]) -> None:
+async def _serve(server: Any, stopped: list[int], stopping: Callable[[int], None]) -> None:
     from mcp.server.stdio import stdio_server
 
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
@@ -107,6 +115,7 @@ async def _serve(server: Any, stopped: list[int]) -> None:
 
     def stop(number: int) -> None:
         stopped.append(number)
+        stopping(number)
         task.cancel()
 
     # Without handlers, a signal raises inside the loop, which reports a fault.
@@ -144,7 +153,7 @@ class _Lines:
 
     def _read(self, loop: asyncio.AbstractEventLoop, lines: asyncio.Queue[bytes | None]) -> None:
         stream = open(sys.stdin.fileno(), "rb", closefd=False)  # noqa: SIM115  # the process waits for sys.stdin
-        with suppress(RuntimeError):  # the loop has ended
+        with suppress(RuntimeError, CancelledError):  # the loop has ended
             for line in itertools.chain(stream, [None]):
                 asyncio.run_coroutine_threadsafe(lines.put(line), loop).result()
 

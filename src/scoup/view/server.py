@@ -224,7 +224,7 @@ class _Guarded:
         names = headers.get("host"), headers.get("origin"), headers.get("sec-fetch-site")
         reason = self.guard.refuses(scope["method"], *names)
         # Without the token, a connection gets one answer.
-        ends = reason is not None or not scope["path"].startswith(f"{self.guard.prefix}/")
+        ends = reason is not None or not self.guard.has_token(scope)
         added = {**HEADERS, "connection": "close"} if ends else HEADERS
 
         async def send_with_headers(message: AsgiMessage) -> None:

@@ -65,7 +65,7 @@ class Viewer:
         page = page_files()
         import uvicorn
 
-        from scoup.view.connections import BURST, BoundedConnection
+        from scoup.view.connections import server_config
         from scoup.view.server import application
 
         guard = Guard.of(host)
@@ -73,17 +73,8 @@ class Viewer:
         self._socket = bound_socket(host, port)
         host_name = _shown_host(host)
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
-        config = uvicorn.Config(
-            application(viewed, page, guard, remote),
-            http=type("Connection", (BoundedConnection,), {"prefix": guard.prefix}),
-            ws="none",
-            backlog=BURST,
-            log_level="error",  # warnings about odd requests would fill the terminal
-            access_log=False,
-            server_header=False,
-            lifespan="off",
-            timeout_graceful_shutdown=2,
-            h11_max_incomplete_event_size=65_536,
+        config = server_config(
+            application(viewed, page, guard, remote), guard.has_token if guard.token else None, "off"
         )
         self._server: uvicorn.Server = uvicorn.Server(config)
         # Waited for in place of the thread: until Python 3.12, an interrupted join marks a running thread as ended.
