@@ -9,14 +9,18 @@ STYLE = """
   text { font: 15px system-ui, sans-serif; fill: #1f2328; }
   .title { font-weight: 600; }
   rect { fill: #0a5cad; }
-  @media (prefers-color-scheme: dark) { text { fill: #e6edf3; } rect { fill: #58a6ff; } }
+  .ground { fill: #ffffff; }
+  @media (prefers-color-scheme: dark) { text { fill: #e6edf3; } rect { fill: #58a6ff; } .ground { fill: #0d1117; } }
 """
 
 
 def bars(title: str, rows: dict[str, float], unit: str) -> str:
     """Return a chart of one horizontal bar per row, with its value, as the text of an SVG file."""
     most = max(rows.values())
-    lines = [f'<text class="title" x="0" y="20">{escape(title)}</text>']
+    lines = [
+        '<rect class="ground" width="100%" height="100%"/>',
+        f'<text class="title" x="0" y="20">{escape(title)}</text>',
+    ]
     for number, (name, value) in enumerate(rows.items()):
         y = TOP + number * ROW
         length = max(2.0, value / most * (WIDTH - LEFT - RIGHT))

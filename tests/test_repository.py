@@ -82,7 +82,7 @@ def test_citation_and_bundle_are_of_this_version() -> None:
     assert str(yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"]) == VERSION
     bundle = json.loads((ROOT / "tools" / "mcpb" / "manifest.json").read_text())
     assert bundle["version"] == VERSION
-    assert f"scoup[mcp]=={VERSION}" in bundle["server"]["mcp_config"]["args"]
+    assert f"scoup[mcp,models]=={VERSION}" in bundle["server"]["mcp_config"]["args"]
 
 
 # Workflows, and what they publish.

@@ -27,8 +27,8 @@ STRAY = re.compile(
 )
 THINGS = "_lab/synthetic/art/table.npz"
 """The things of the scene of `scoup demo`, after the folder of the package."""
-LINK = re.compile(r"\]\((?!https?:|#)([^)]*)\)")
-"""Of Markdown, relative."""
+LINK = re.compile(r"""(?:\]\(|src(?:set)?=")(?!https?:|#)([^)"]*)[)"]""")
+"""Of Markdown and HTML, relative."""
 PYTHONS = ("cp310-cp310", "cp311-cp311", "cp312-abi3")
 PLATFORMS = (
     r"manylinux\S*_x86_64",

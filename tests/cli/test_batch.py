@@ -55,13 +55,16 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
 
 
 def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch) -> None:
-    Path("scans/a").mkdir(parents=True)
+    write_scene(Path("scans/a"))
+    shutil.copytree("scans/a", "scans/broken")
+    Path("scans/broken/point_cloud.ply").write_bytes(b"ply\n")  # found before any is built
     seen: dict[str, list[str]] = {}
     monkeypatch.setattr(
         "scoup.cli.batch._in_processes", lambda commands, jobs: iter(seen.update(commands) or ())
     )
     passed = [*FREE, "--embed-geometry", "--preset", "paper"]
-    run_json("batch", "scans", "--out", "fields", *passed)
+    said = json.loads(run("batch", "scans", "--out", "fields", *passed, "--json")[1])
+    assert (said["failed"], [*seen]) == (["broken"], ["a"])
     start, rest = seen["a"][:4], seen["a"][4:]
     assert start == ["build", "scans/a", "--out", "fields/a.scoup"]
     assert sorted(rest) == sorted([*passed, "--device", "cpu", "--overwrite", "--json"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from PIL import Image
 
 from cli_support import FREE, QUICK, plain_photographs, printed, refused, run, run_json, snapshot
+from messages import check_message
 from scoup.cli.options import CLIP_MODEL
 from scoup.io import (
     load_cameras,
@@ -22,6 +24,7 @@ from scoup.io import (
     write_colmap,
 )
 from scoup.io.regions.manifest import MANIFEST
+from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections
 
@@ -241,3 +244,50 @@ def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None
     assert code == 0
     assert "up is a guess" in err
     assert "--keep-axes for" in err
+
+
+MISTAKES = {
+    "point cloud": ("--gaussians", "points.ply"),
+    "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
+    "table": ("--model", "table.npz"),
+    "no table": ("--model", "missing.npz"),
+    "codebook": ("--codebook", "other.scoup"),
+    "near plane": ("--raster-preset", "inria:-1"),
+    "full disk": (),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_found_before_the_first_photograph(
+    mistake: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_json("build", "scene", *QUICK, "--no-check-fit", "--out", "other.scoup")
+    gaussians = load_gaussians(SPLAT)
+    photographs()
+    Path("points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    )
+    save_gaussians(replace(gaussians, means=gaussians.means + 1000), "elsewhere.ply")
+    WordTable.save("table.npz", ["a", "b"], np.eye(2, 5))
+    monkeypatch.setattr("scoup.extract.felzenszwalb.Felzenszwalb.segment", _must_not_run)
+    if mistake == "full disk":
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1))
+    check = () if mistake == "splat of elsewhere" else ("--no-check-fit",)
+    check_message(refused("build", "scene", *QUICK, *FREE, *check, *MISTAKES[mistake]))
+
+
+def test_extract_looks_at_its_disk_and_models_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    photographs()
+    monkeypatch.setattr("scoup.extract.felzenszwalb.Felzenszwalb.segment", _must_not_run)
+    Path("points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    )
+    check_message(refused("extract", "scene", *FREE, "--gaussians", "points.ply"))
+    Path("words.txt").write_text("mug\n")
+    check_message(refused("extract", "scene", *FREE, "--concepts", "words.txt", "--concept-model", "missing"))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1))
+    check_message(refused("extract", "scene", *FREE))
+
+
+def _must_not_run(*_: object) -> None:
+    raise AssertionError("a photograph was segmented")

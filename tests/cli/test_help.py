@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import functools
+import json
 import re
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+import scoup
 from children import finished
 from cli_support import printed
+from messages import SNAPSHOT
 from scoup.cli.app import SCOUP
 from scoup.cli.family import Family
 from scoup.cli.parsing import field_texts
@@ -89,3 +94,38 @@ def test_help_and_the_facts_of_a_field_need_nothing_heavy() -> None:
     commands = ("--help", "--version", "info --help", "info f.scoup")
     done = finished([sys.executable, "-c", IMPORTED, *commands], check=True)
     assert done.stderr.splitlines() == [f"{command} []" for command in commands]
+
+
+FOREIGN = re.compile(
+    r"\x1b|can still be loaded|weights_only|Weights only|from_pretrained|Traceback|while online"
+)
+# Of hf download, ray start, pip, xcode-select, LangSplat's training and our benchmarks, which messages name.
+OF_OTHERS = {
+    *("--local-dir", "--head", "--force-reinstall", "--no-deps", "--no-cache-dir", "--install"),
+    *("--include_feature", "--rows"),
+}
+
+
+def arguments() -> set[str]:
+    """Names of the parameters and fields of the product."""
+    trees = (ast.parse(path.read_text()) for path in Path(scoup.__file__).parent.rglob("*.py"))
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    fields = {
+        node.target.id
+        for node in nodes
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
+    return fields | {node.arg for node in nodes if isinstance(node, ast.arg)}
+
+
+def test_messages_have_no_words_of_other_libraries() -> None:
+    """Names in back-quotes, which verbs turn to options, are arguments of scoup, and options are those of its verbs."""
+    texts = [text for each in json.loads(SNAPSHOT.read_text()).values() for text in each]
+    assert [text for text in texts if FOREIGN.search(text)] == []
+    quoted = {name for text in texts for name in re.findall(r"`([a-z_]+)(?:=[^`]+)?`", text)}
+    assert quoted - arguments() == set()
+    options = {
+        option for verb in ALL for group in boxes(printed(*verb, "--help")).values() for option in group
+    }
+    named = {name for text in texts for name in re.findall(r"(?<![\w-])--[a-z][\w-]*", text)}
+    assert {name for name in named - OF_OTHERS if not {name, name.replace("--no-", "--")} & options} == set()

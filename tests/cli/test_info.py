@@ -51,9 +51,9 @@ def test_every_kind_of_file(name):
 @pytest.mark.parametrize(
     ("path", "following"),
     {
-        "f.scoup": "scoup query f.scoup TEXT",
-        "scene/point_cloud.ply": "scoup build scene/point_cloud.ply --out point_cloud.scoup (makes views of it first)",
-        "scene": "scoup build scene --out scene.scoup",
+        "f.scoup": "scoup view f.scoup",
+        "scene/point_cloud.ply": "scoup build scene/point_cloud.ply (makes views of it first)",
+        "scene": "scoup build scene",
         "scene/words.npz": "",
     }.items(),
 )  # fmt: skip

@@ -125,7 +125,12 @@ def test_open_clip_models_are_used_through_their_own_interface(monkeypatch: pyte
     def get_tokenizer(architecture: str):
         return lambda phrases: torch.tensor([[len(phrase), 3, 4] for phrase in phrases])
 
-    stand_in = SimpleNamespace(create_model=create_model, get_tokenizer=get_tokenizer)
+    def list_models() -> list[str]:
+        return ["RN50", "ViT-B-16"]
+
+    stand_in = SimpleNamespace(
+        create_model=create_model, get_tokenizer=get_tokenizer, list_models=list_models
+    )
     monkeypatch.setitem(sys.modules, "open_clip", stand_in)
     name = "open_clip:ViT-B-16/laion2b_s34b_b88k"
     encoder, embedder = TextEncoder.open(name), open_clip_image_model(name)
@@ -136,8 +141,9 @@ def test_open_clip_models_are_used_through_their_own_interface(monkeypatch: pyte
     mean, std = (torch.tensor(each).view(3, 1, 1) for each in ([0.2, 0.3, 0.4], [0.5, 0.6, 0.7]))
     pixels = (crops.permute(0, 3, 1, 2) / 255 - mean) / std
     torch.testing.assert_close(embedder.embed(crops), unit(pixels.flatten(1) @ weights))
-    with pytest.raises(ScoupError, match="not found"):
-        TextEncoder.open("open_clip:X/y")
+    for name in ("open_clip:X/y", "open_clip:ViT-B/17/y", "open_clip:ViT-B/16/other"):
+        with refuses(ScoupError):
+            TextEncoder.open(name)
 
 
 CLIP_PIXELS = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)

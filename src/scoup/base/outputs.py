@@ -26,13 +26,14 @@ held: set[Path] = set()
 """Lock files of this process: of outputs that are being written."""
 
 
-def check_output(*paths: str | Path, overwrite: bool = False) -> None:
-    """Check that these files may be written, before long work starts. Creates nothing."""
+def check_output(*paths: str | Path, overwrite: bool = False, least: int = 0) -> None:
+    """Check that these files may be written, and that their disks have as many bytes free, before long work starts.
+    Creates nothing."""
     for path in paths:
-        _check_output(Path(path), overwrite)
+        _check_output(Path(path), overwrite, least)
 
 
-def _check_output(path: Path, overwrite: bool) -> None:
+def _check_output(path: Path, overwrite: bool, least: int) -> None:
     if os.path.isdir(path):
         what = f"is a link to the folder {os.path.realpath(path)}" if os.path.islink(path) else "is a folder"
         raise InputError(f"{path}: {what}; use the name of a file to write")
@@ -49,6 +50,10 @@ def _check_output(path: Path, overwrite: bool) -> None:
                 raise InputError(
                     f"{path}: cannot be written, {parent} is read-only for you; choose another folder"
                 )
+            free = shutil.disk_usage(parent).free if least else 0
+            if free < least:
+                reason = f"{free / 1e3:,.0f} kB are free, at least {least / 1e3:,.0f} kB are needed"
+                raise WriteError(path, reason, "free space on the disk, or choose another folder")
             break
 
 

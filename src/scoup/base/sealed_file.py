@@ -116,5 +116,9 @@ def _damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
         OverflowError,
         RecursionError,
     ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", remedy) from error
+        own = (
+            not isinstance(error, SafetensorError) and str(error).splitlines()[:1]
+        )  # not the library's words
+        raise FileFormatError(
+            path, f"is not {what} or is damaged{f' ({own[0]})' if own else ''}", remedy
+        ) from error

@@ -100,8 +100,8 @@ def _value(value: Any) -> str:
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
-def rounded_vector(values: Sequence[float]) -> list[float]:
-    """Return numbers rounded to six digits of the largest, but no coarser than three decimals."""
+def rounded_vector(values: Sequence[float], decimals: int = 3) -> list[float]:
+    """Return numbers rounded to six digits of the largest, but no coarser than to some decimals."""
     largest = max((abs(value) for value in values), default=0.0)
     digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
-    return [round(value, max(3, digits)) for value in values]
+    return [round(value, max(decimals, digits)) for value in values]

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
@@ -19,6 +20,7 @@ from typing import Annotated, Any, TypeAlias
 import tyro
 
 from scoup.base import InputError, MissingFileError, ScoupError, counted, html, reserved_output, write_text
+from scoup.cli.build import Build
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
 from scoup.cli.options import AllCommon, Model, arg, check_number
@@ -123,6 +125,9 @@ class Batch:
                 record = {key: value for key, value in before.get(name, {}).items() if key != "error"}
                 yield name, {**record, "kept": True}
             else:
+                if self.ray is None and (problem := self._problem(self.scans / name, file)):
+                    yield name, {"kept": False, "warnings": [], "error": problem, "seconds": 0.0}
+                    continue
                 files = [str(self.scans / name), "--out", str(file)]
                 missing[name] = ["build", *files, *self._options(), "--json"]
         ends = _in_processes(missing, self.jobs)
@@ -135,6 +140,16 @@ class Batch:
                 how = f"scoup build ended with code {code}; run it alone to see why"
                 record["error"] = said.get("error", how)
             yield name, {**record, "seconds": round(seconds, 2)}
+
+    def _problem(self, scan: Path, out: Path) -> str:
+        """Return why a scan cannot be built, as far as that shows before the long work of any; "" if nothing does."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the build warns again
+                Build(scene=scan, out=out, method=self.method, common=self.common).check()
+        except ScoupError as error:
+            return with_options(str(error))
+        return ""
 
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""

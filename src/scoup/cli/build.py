@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output
+from scoup.base import InputError, Part, ScoupWarning, check_output, counted, reserved_output
 from scoup.cli.build_options import (
     BuildOptions,
     CodingOptions,
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from scoup.uplift import BuildSettings, RegionSums
 
 CLIP_DIM = 512
+LEAST_BYTES = 10  # of a field, per Gaussian
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class _Loaded:
     cameras: Cameras
     regions: Regions
     source: Path
-    raster_preset: str
+    settings: BuildSettings
     model: str
     words: Path | None
     concepts: tuple[Sequence[str], Mapping[str, Detections]] | None
@@ -68,7 +69,6 @@ class Build:
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
-        from scoup.io import ScenePaths
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -78,7 +78,7 @@ class Build:
             )
         if self.region_sums.part is not None:
             return self._write_part(console)
-        out = self.out or Path(f"{ScenePaths(self.scene).folder.resolve().name}.scoup")
+        out = self._out()
         check_field_output(out, self.common.overwrite)
         begun = time.perf_counter()
         extracted = self._extract(console)
@@ -96,6 +96,11 @@ class Build:
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
         console.say(whole + _suggestion(field, out))
         return None
+
+    def _out(self) -> Path:
+        from scoup.io import ScenePaths
+
+        return self.out or Path(f"{ScenePaths(self.scene).folder.resolve().name}.scoup")
 
     def _extract(self, console: Console) -> dict[str, Any]:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
@@ -116,16 +121,55 @@ class Build:
         made = paths.features(to_make=True)
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
-        # Mistakes show before the long work.
-        source = paths.splat(self.parts.gaussians)
-        self.settings(source.preset)
-        self.parts.load_cameras(self.scene)
+        self.check()
         return Extract(
             scene=self.scene,
             photographs=PhotographOptions(gaussians=self.parts.gaussians, images=self.parts.images),
             models=ModelOptions(segmenter=self.method.segmenter, embedder=embedder),
             common=AllCommon(device=self.common.device),
-        ).make(console)
+        ).make(console, self._check_dim)
+
+    def check(self) -> None:
+        """Look at all that a build needs but regions, before the photographs are cut into them: that may take hours."""
+        from scoup.field import Field
+        from scoup.io import ScenePaths, load_gaussians
+        from scoup.models import WordTable, check_model
+        from scoup.scene import Cameras
+        from scoup.uplift import check_scene
+
+        if (model := self.method.model) is not None:
+            _ = WordTable.load(model) if WordTable.is_meant(model) else check_model(model)
+        if self.coding.codebook is not None:
+            Field.load(self.coding.codebook)
+        splat = ScenePaths(self.scene).splat(self.parts.gaussians)
+        settings = self._settings(splat.preset)
+        gaussians = load_gaussians(splat.path).to(self.common.device)
+        kept_sums = self.region_sums.keep_sums
+        outputs = [self._out(), *([] if kept_sums is None else [kept_sums / "sums"])]
+        check_output(*outputs, overwrite=True, least=LEAST_BYTES * len(gaussians))
+        cameras = self.parts.load_cameras(self.scene)
+        shown = Cameras(camera for camera in cameras if camera.image_path)
+        check_scene(gaussians, shown if len(shown) else cameras, settings, splat.path)
+
+    def _check_dim(self, dim: int) -> None:
+        """Refuse embeddings of another size than the word table or the codebook has."""
+        from scoup.field import Field
+        from scoup.models import WordTable
+
+        model, codebook = self.method.model, self.coding.codebook
+        sizes = (
+            {}
+            if model is None or not WordTable.is_meant(model)
+            else {model: WordTable.load(model).vectors.shape[1]}
+        )
+        if codebook is not None:
+            sizes[str(codebook)] = Field.load(codebook).dim
+        for name, size in sizes.items():
+            if size != dim:
+                raise InputError(
+                    f"{name}: contains vectors of {size} dimensions, but the embedder makes embeddings of {dim}; "
+                    "use the one made with the same model"
+                )
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
@@ -137,7 +181,7 @@ class Build:
         try:
             with console.progress() as progress:
                 field = build(
-                    loaded.gaussians, loaded.cameras, loaded.regions, self._settings(loaded),
+                    loaded.gaussians, loaded.cameras, loaded.regions, loaded.settings,
                     sources=FieldSources(loaded.model, loaded.words, loaded.source), sums=sums, codebook=codebook,
                     progress=progress,
                 )  # fmt: skip
@@ -181,7 +225,7 @@ class Build:
         loaded = self._load(console)
         started = time.perf_counter()
         views = cameras_with_regions(loaded.cameras, loaded.regions)
-        chosen, settings = Cameras(part.of(views)), self._settings(loaded)
+        chosen, settings = Cameras(part.of(views)), loaded.settings
         with part.reserved(folder):
             sums = self._open_sums(loaded, folder)
             check_fit = bool(len(chosen)) and not len(sums)
@@ -201,12 +245,14 @@ class Build:
             {"sums": folder, "views": len(chosen), "of_views": len(views), "seconds": round(seconds, 2)}
         )
 
-    def settings(self, raster_preset: str) -> BuildSettings:
-        """Return the preset with the options passed."""
+    def _settings(self, raster_preset: str) -> BuildSettings:
+        """Return the preset with the options passed; ``raster_preset`` is the splat's."""
         from scoup.uplift import build_settings
 
         changes = {"n_atoms": self.coding.n_atoms, "k": self.coding.k, "scale": self.region_sums.scale}
-        return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
+        preset = raster_preset if self.parts.raster_preset == "auto" else self.parts.raster_preset
+        check_fit = not self.parts.no_check_fit
+        return build_settings(self.method.preset, **changes, raster_preset=preset, check_fit=check_fit)
 
     def _load(self, console: Console) -> _Loaded:
         from scoup.io import DetectionStore, ScenePaths, load_gaussians
@@ -214,8 +260,7 @@ class Build:
 
         splat = ScenePaths(self.scene).splat(self.parts.gaussians)
         source = splat.path
-        raster_preset = splat.preset if self.parts.raster_preset == "auto" else self.parts.raster_preset
-        self.settings(raster_preset)  # a mistake shows before the long work
+        settings = self._settings(splat.preset)  # a mistake shows before the long work
         gaussians = load_gaussians(source).to(self.common.device)
         cameras, regions, features = self.parts.load_views(self.scene)
         model, words = embedding_source(features, regions, self.method.model)
@@ -227,7 +272,7 @@ class Build:
         )
         store = DetectionStore.beside(features)
         concepts = None if store is None else (store.texts, store.of(regions.view_names))
-        return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
+        return _Loaded(gaussians, cameras, regions, source, settings, model, words, concepts)
 
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
         """Return the sums named, or new ones in a temporary folder."""
@@ -238,12 +283,10 @@ class Build:
         return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
 
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
-        from scoup.uplift import open_sums
+        from scoup.uplift import cameras_with_regions, open_sums
 
-        return open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded))
-
-    def _settings(self, loaded: _Loaded) -> BuildSettings:
-        return replace(self.settings(loaded.raster_preset), check_fit=not self.parts.no_check_fit)
+        views = cameras_with_regions(loaded.cameras, loaded.regions)
+        return open_sums(folder, loaded.gaussians, loaded.regions, loaded.settings, views)
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""

@@ -71,8 +71,9 @@ class SceneOptions:
 
     gaussians: Path | None = None
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
-    raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
-    """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
+    raster_preset: str = "auto"
+    """Rasteriser constants the splat was trained with: inria or gsplat; auto: gsplat for its checkpoints, else inria. A
+    near plane that cuts what the cameras see is replaced, unless it is named (in units of the scene): inria:0.2."""
     features: Path | None = None
     """Folder of region features. Default: SCENE/language_features."""
     images: Path | None = None
@@ -137,6 +138,10 @@ def report_field(
         )
     if strays := field.info.provenance.get("strays"):
         console.say(f"{counted(sum(strays.values()), 'stray')} cut from things")
+    if ":" in field.raster_preset:
+        console.say(
+            f"raster preset {field.raster_preset}: the number is the near plane, in units of the scene"
+        )
     size, sizes, coded = out.stat().st_size, part_sizes(out), int(field.coded().sum())
     console.say(
         f"{out}: {size / 1e6:.1f} MB ({sizes}), "

@@ -124,7 +124,12 @@ class Console:
             TimeRemainingColumn(),
         )
         # Over half an hour: a photograph of `scoup extract` can take minutes.
-        with Bars(*columns, console=RichConsole(stderr=True), speed_estimate_period=1800) as bars:
+        with Bars(
+            *columns,
+            console=RichConsole(stderr=True),
+            speed_estimate_period=1800,
+            redirect_stdout=sys.stdout.isatty(),
+        ) as bars:
             tasks: dict[str, Any] = {}
 
             def report(stage: str, done: int, total: int) -> None:

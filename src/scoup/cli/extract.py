@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from scoup.cli.options import (
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
     from scoup.extract import ExtractReport, Photograph, PhotographChoice
+    from scoup.models import ConceptModel
 
 MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
 
@@ -109,11 +110,12 @@ class Extract:
         else:
             console.result(self.make(console))
 
-    def make(self, console: Console) -> dict[str, Any]:
-        """Extract and report; returns what the result says."""
+    def make(self, console: Console, check: Callable[[int], None] = lambda dim: None) -> dict[str, Any]:
+        """Extract and report; returns what the result says. ``check`` may refuse embeddings of so many dimensions."""
         from scoup.cli.views import is_splat
         from scoup.extract import PhotographChoice, extract, find_photographs, mask_settings, open_pair
-        from scoup.io import ScenePaths
+        from scoup.io import ScenePaths, load_gaussians
+        from scoup.models import open_concepts
 
         scene = self._scene()
         if is_splat(scene):
@@ -129,11 +131,15 @@ class Extract:
         overwrite, is_part = self.common.overwrite, self.part is not None
         choice = PhotographChoice.of(scene, photographs, wanted.views, out, overwrite, is_part)
         if wanted.gaussians is not None:
-            ScenePaths(scene).splat(wanted.gaussians)  # a mistake shows before the long work
+            splat = ScenePaths(scene).splat(wanted.gaussians)  # mistakes show before the long work
+            if choice is None:
+                load_gaussians(splat.path)  # the choice reads it otherwise
+        concepts = open_concepts(self.words.concept_model, device=self.common.device) if words else None
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name, self.models.embedder, settings, self.common.device, None if overwrite else out
         )
+        check(embedder.dim)
         views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
         with _extracting(console, out, part) as progress:
@@ -144,8 +150,8 @@ class Extract:
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
-        if words:
-            record["concepts"] = self._look_for_words(console, chosen, words, out, part)
+        if concepts is not None:
+            record["concepts"] = self._look_for_words(console, concepts, chosen, words, out, part)
         return {"out": out, "photographs": len(photographs), "chosen": len(chosen), **record}
 
     def _scene(self) -> Path:
@@ -208,17 +214,19 @@ class Extract:
         return EVERYDAY_WORDS if self.words.concepts == "everyday" else read_words(Path(self.words.concepts))
 
     def _look_for_words(
-        self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
+        self,
+        console: Console,
+        model: ConceptModel,
+        photographs: Sequence[Photograph],
+        words: Sequence[str],
+        out: Path,
+        part: Part,
     ) -> dict[str, Any]:
         """Store detections of words in the photographs; return their entry in the result."""
         from scoup.extract import extract_concepts
         from scoup.io import DetectionStore
-        from scoup.models import open_concepts
 
-        model, folder = (
-            open_concepts(self.words.concept_model, device=self.common.device),
-            out / DetectionStore.FOLDER,
-        )
+        folder = out / DetectionStore.FOLDER
         with console.progress() as progress:
             report = extract_concepts(
                 photographs, folder, model, words, MAX_HEIGHT, self.common.overwrite, part, progress

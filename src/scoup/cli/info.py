@@ -34,22 +34,22 @@ class Info:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
             console.say(line)
-        if following := _next(self.path, record):
+        following = "" if console.warnings else _next(self.path, record)
+        if following:
             console.say(f"next: {following}")
         console.result(record)
 
 
 def _next(path: Path, record: dict[str, Any]) -> str:
     """Return the command that follows from what a path is; "" where there is none."""
-    made = f"{path.resolve().stem}.scoup"
     if record["kind"] == "language field":
-        return command("query", path, "TEXT")
+        return command("view", path)
     if record["kind"] == "splat":
-        return f"{command('build', path, '--out', made)} (makes views of it first)"
+        return f"{command('build', path)} (makes views of it first)"
     if record["kind"] != "scene" or "cameras" not in record:
         return ""
     splat = () if "splat" in record else ("--gaussians", "SPLAT")
-    return command("build", path, *splat, "--out", made)
+    return command("build", path, *splat, *(("--undistort",) if "distorted" in record else ()))
 
 
 def _other(path: Path) -> dict[str, Any]:

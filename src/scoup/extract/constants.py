@@ -70,6 +70,8 @@ COVERING_OPACITY = 0.5
 """Opacity from which a Gaussian counts for the coverage."""
 NEAR = 0.12
 """Share of the radius of the scene: what is nearer is too near."""
+NEAR_PLANE = NEAR / 2
+"""Share of the radius of the scene: what is nearer is not drawn."""
 BLURRED = 0.06
 """Share of the width of the image: standard deviation of a Gaussian that is too large to be sharp."""
 CLOSE = 2.0

@@ -26,6 +26,7 @@ from scoup.io import (
 from scoup.pictures import as_picture, contact_sheet, sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene import Camera, Cameras, Gaussians, checked_direction
+from scoup.uplift import scene_preset
 
 LEAST_SIDE, MOST_SIDE, MOST_COUNT = 16, 8192, 1000
 TRANSFORMS, IMAGES, SHEET = "transforms.json", "images", "views.png"
@@ -149,7 +150,7 @@ def save_views(
     if not len(cameras):
         raise InputError("cameras: there are none to render")
     seen = torch.zeros(len(gaussians), dtype=torch.int32)  # in how many views each Gaussian is
-    tiles = []
+    tiles, preset = [], scene_preset(gaussians, list(cameras))
     before = _images_of_views(folder) if overwrite else []
     stale = [folder / name for name in set(before) - set(places.values())]
     # transforms.json comes last: where it is, the views are whole.
@@ -157,7 +158,7 @@ def save_views(
         for camera in reported(cameras, "views", len(cameras), progress):
             path = hidden / places[camera.name]
             path.parent.mkdir(parents=True, exist_ok=True)
-            projection = project(gaussians, camera)
+            projection = project(gaussians, camera, preset)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
             seen[region_sums(projection, blank).gaussian.unique()] += 1
             picture = as_picture(render_colors(gaussians, camera, projection))

@@ -69,7 +69,9 @@ class PhotographChoice:
         total = total_wanted(views, len(there))
         if views is not None and views.startswith("+"):
             if is_part:
-                raise InputError("pass the number of all photographs as `views` with `part`, not of more")
+                raise InputError(
+                    "`part` needs a total: pass the number of all photographs as `views`, without '+'"
+                )
             if before is None:
                 raise InputError(f"{folder}: contains no regions to add to; pass `views={views[1:]}`")
             if len(RegionStore.open(folder).views(there)) < len(there):
@@ -208,7 +210,8 @@ def points_as_gaussians(positions: NDArray[np.float64]) -> Gaussians:
     if len(positions) < 4:
         raise InputError(f"COLMAP's model has {len(positions)} points, too few to choose photographs by")
     away = torch.from_numpy(nearest_points(positions, 3)[1]).mean(1).float() / 2
-    scales = away.clamp(min=1e-9, max=float(away.quantile(0.95)))[:, None].expand(-1, 3)
+    most = float(away.quantile(0.95))
+    scales = away.clamp(min=1e-6 * most, max=most)[:, None].expand(-1, 3)
     count = len(positions)
     quats = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
     means = torch.from_numpy(positions).float()

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, share_of
+from scoup.base import Part, Progress, ScoupError, ScoupWarning, check_output, counted, no_progress, share_of
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
@@ -22,6 +22,7 @@ from scoup.io import RegionManifest, RegionStore, ViewRegions
 
 MAX_HEIGHT = 1080  # LangSplat's
 BITS = 16  # of a stored embedding number
+LEAST_BYTES = 10_000  # of a view: a photograph of few regions
 
 
 @dataclass
@@ -80,6 +81,7 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
     assigned = part.of(photographs)
     report = ExtractReport()
     waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
+    check_output(store.folder / "regions.json", overwrite=True, least=LEAST_BYTES * len(waiting))
     report.kept = done = len(assigned) - len(waiting)
     progress("regions", done, len(assigned))
     moment = time.perf_counter()

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.extract import constants
+from scoup.raster import raster_preset
 from scoup.scene import Camera, Gaussians
 
 
@@ -29,6 +30,12 @@ class Matter:
     def radius(self) -> float:
         """Half the diagonal of the box."""
         return float((self.high - self.low).norm()) / 2
+
+    @property
+    def preset(self) -> str:
+        """Inria's constants, with a nearer plane where theirs, in world units, lies deep in the scene."""
+        near = constants.NEAR_PLANE * self.radius
+        return f"inria:{near:g}" if near < raster_preset("inria").near else "inria"
 
 
 def find_matter(gaussians: Gaussians) -> Tensor:

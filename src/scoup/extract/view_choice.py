@@ -17,7 +17,8 @@ from scoup.scene import Camera, Gaussians, rotation_matrices
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render
-FARTHEST = 1e15  # depth, whose square is in range
+FARTHEST = 1e15  # depth in any unit, whose square is in range
+_TINY = torch.finfo(torch.float32).tiny  # in any unit: only zeros are below
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,7 @@ class ViewScorer:
     sectors: Tensor  # [B, 3] float32 unit vectors, middles of the sectors of directions
     covariances: Tensor  # [6, N] float32: xx, yy, zz, xy, xz, yz
     radius: float  # of the scene
+    preset: str  # rasteriser constants
 
     @classmethod
     def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:
@@ -90,7 +92,7 @@ class ViewScorer:
         pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         covariances = torch.stack([(axes[:, one] * axes[:, other]).sum(1) for one, other in pairs])
         sectors = _sectors() if sectors is None else sectors
-        return cls(prepared, counted, sizes, full_size, sectors, covariances, matter.radius)
+        return cls(prepared, counted, sizes, full_size, sectors, covariances, matter.radius, matter.preset)
 
     @property
     def means(self) -> Tensor:
@@ -116,7 +118,7 @@ class ViewScorer:
         values[:, 2] = depth < constants.NEAR * self.radius
         values[:, 3] = self.sizes * (small.fx / small.width / constants.BLURRED) > depth
         values[:, 4] = self._elongation(small)
-        image, alpha = render_channels(project(self.prepared, small), values)
+        image, alpha = render_channels(project(self.prepared, small, self.preset), values)
         mean, square, _, _, elongation = (image / alpha.clamp(min=1e-6)[..., None]).unbind(-1)
         near, blurred = image[..., 2], image[..., 3]
         spread = (square - mean * mean).clamp(min=0).sqrt()
@@ -131,10 +133,10 @@ class ViewScorer:
         """Return [N], the logarithm of the standard deviation along the ray by that across it."""
         x, y, z = (self.prepared.gaussians.means.T - camera.position.float()[:, None]).contiguous()
         xx, yy, zz, xy, xz, yz = self.covariances
-        square = (x * x).addcmul_(y, y).addcmul_(z, z).clamp_(min=1e-20)
+        square = (x * x).addcmul_(y, y).addcmul_(z, z).clamp_(min=_TINY)
         along = (x * (xx * x + 2 * (xy * y + xz * z))).addcmul_(y, yy * y + 2 * yz * z).addcmul_(z, zz * z)
-        along = along.div_(square).clamp_(min=1e-20)
-        across = ((xx + yy + zz).sub_(along)).div_(2).clamp_(min=1e-20)
+        along = along.div_(square).clamp_(min=_TINY)
+        across = ((xx + yy + zz).sub_(along)).div_(2).clamp_(min=_TINY)
         logarithm = along.div_(across).log_().mul_(0.5)
         return logarithm.clamp_(-constants.MOST_ELONGATED, constants.MOST_ELONGATED).nan_to_num_(0)
 
@@ -143,9 +145,10 @@ class ViewScorer:
     ) -> tuple[Tensor, Tensor]:
         gaussians, rows = self.prepared.gaussians, self.counted
         means, z = gaussians.means[rows], depth[rows]
+        ahead = z.clamp(min=1e-6 * self.radius)
         seen = means @ camera.viewmat[:3, :3].float().T + camera.viewmat[:3, 3].float()
-        x = (camera.fx * seen[:, 0] / z.clamp(min=1e-6) + camera.cx).floor()
-        y = (camera.fy * seen[:, 1] / z.clamp(min=1e-6) + camera.cy).floor()
+        x = (camera.fx * seen[:, 0] / ahead + camera.cx).floor()
+        y = (camera.fy * seen[:, 1] / ahead + camera.cy).floor()
         inside = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         pixel = torch.where(inside, y * camera.width + x, torch.zeros_like(x)).long()
         there = mean.flatten()[pixel]
@@ -153,9 +156,7 @@ class ViewScorer:
         visible = inside & clear.flatten()[pixel] & (z < there + reach)
         sizes = self.sizes[rows]
         shares = (
-            sizes.clamp(min=float(sizes.quantile(constants.SMALLEST)))
-            * (camera.fx / camera.width)
-            / z.clamp(min=1e-6)
+            sizes.clamp(min=float(sizes.quantile(constants.SMALLEST))) * (camera.fx / camera.width) / ahead
         )
         sharp = (shares / (constants.CLOSE * self.full_size)).clamp(max=1) ** 2 * (
             2 - shares / constants.BLURRED

@@ -69,4 +69,4 @@ class HubEntry(ModelEntry):
     """Any model by its folder, file or hub id."""
 
     def answers_to(self, name: str) -> bool:
-        return bool(_HUB_ID.fullmatch(name)) or name.endswith(".pt") or Path(name).exists()
+        return bool(_HUB_ID.fullmatch(name)) or name.endswith((".pt", ".pth")) or Path(name).exists()

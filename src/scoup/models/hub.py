@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import re
@@ -18,13 +19,20 @@ from urllib.parse import urlsplit
 
 import torch
 
-from scoup.base import InputError, ScoupError, refuse_pointer
+from scoup.base import InputError, ScoupError, listed, refuse_pointer
+from scoup.models.failures import reason_of
 from scoup.models.normalization import PLAIN, Normalization
 
 Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
 _READ = re.compile(r"[^.]*\.(safetensors|json|txt)")  # of a folder; "model.fp16.safetensors" is not
+_OF_HUB = re.compile(
+    r"hf-hub:[\w.-]+/[\w.-]+(@[\w.-]+)?"
+)  # a model of open_clip that brings its own description
+_SPELT = re.compile(
+    r"^([\w-]*ViT-\w+)/(\d+)(?:@(\d+)px)?(?=[-/]|$)"
+)  # as its authors write ViT-B-16: ViT-B/16
 _SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
 _DISTRIBUTIONS = {
     "transformers": "transformers",
@@ -67,12 +75,9 @@ class ModelRequest:
 
     def unreadable(self, cause: BaseException) -> ScoupError:
         """Return the error for a model whose files cannot be fetched or read."""
-        lines = str(cause).strip().splitlines()
-        reason = lines[0][:160] if lines else type(cause).__name__
-        return ScoupError(
-            f"{self.role} {self.name!r} cannot be loaded ({reason}); check the id, and fetch the weights "
-            f"(safetensors) while online, or {self.alternative}"
-        )
+        if isinstance(cause, MemoryError) or "out of memory" in str(cause):
+            raise cause
+        return self.unusable(f"{reason_of(self.source, cause)}, or {self.alternative}")
 
     def package(self, name: str, extra: str) -> Any:
         """Import the package that loads the model; ScoupError where it is not installed."""
@@ -173,6 +178,7 @@ class Pretrained:
     def model(self, kind: Any, **options: Any) -> Any:
         """Load a model class of transformers in evaluation mode, on the CPU, in 32 bits.
 
+        Files of 16 bits too: in these a CPU is slower, and transformers 5 would keep them.
         A file that lacks weights raises ScoupError: transformers would invent them.
         """
         # Safetensors only: loading a pickled checkpoint runs whatever it contains.
@@ -182,7 +188,7 @@ class Pretrained:
         missing = sorted(key for key in loading["missing_keys"] if not key.endswith("position_ids"))
         if missing:
             raise ScoupError(f"its file lacks weights such as {missing[0]!r}; use a complete model")
-        return model.eval()
+        return model.eval().float()
 
     def normalization(self) -> Normalization | None:
         """Return the values of preprocessor_config.json, if any (transformers' image processors need torchvision)."""
@@ -275,19 +281,28 @@ def load_open_clip(
     architecture, pretrained = _open_clip_parts(request)
     open_clip = request.package("open_clip", "open-clip")
     try:
-        model = open_clip.create_model(architecture, pretrained=pretrained, device=device).eval()
+        model = open_clip.create_model(architecture, pretrained=pretrained or None, device=device).eval()
         return model, open_clip.get_tokenizer(architecture) if with_tokenizer else None
     except Exception as error:  # as above
+        known = open_clip.list_models()
+        if pretrained and architecture not in known:
+            near = listed(difflib.get_close_matches(architecture, known), 3)
+            problem = f"open_clip has no architecture {architecture!r}{near and f'; similar ones: {near}'}"
+            raise request.unusable(problem) from error
         raise request.unreadable(error) from error
 
 
 def _open_clip_parts(request: ModelRequest) -> tuple[str, str]:
-    """Return the architecture and the pretrained weights, which may be a path."""
-    architecture, _, pretrained = request.name.removeprefix(OPEN_CLIP).partition("/")
+    """Return the architecture and the pretrained weights, which may be a path; "" for a model of a hub."""
+    name = request.name.removeprefix(OPEN_CLIP)
+    if _OF_HUB.fullmatch(name):
+        return name, ""
+    name = _SPELT.sub(lambda parts: "-".join(filter(None, parts.groups())), name)
+    architecture, _, pretrained = name.partition("/")
     if not architecture or not pretrained:
         raise InputError(
             f"invalid model {request.name!r}; expected {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
-            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k, or {OPEN_CLIP}hf-hub:ORG/NAME"
         )
     return architecture, pretrained
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,13 @@ import torch
 from torch import Tensor
 
 from scoup.base import ScoupError
+from scoup.models.failures import USE_SAM, reason_of_checkpoint
 from scoup.models.tiny_vit import TinyViT
 
 MOBILE_SAM_FILE = ("dhkim2810/MobileSAM", "mobile_sam.pt")  # repository of the hub, and the file in it
 CHECKPOINT_URL = "https://github.com/ChaoningZhang/MobileSAM/raw/master/weights/mobile_sam.pt"
 
+_DAMAGED = "the file is damaged or not a checkpoint; fetch it again"
 _RENAMES = (  # a name in the checkpoint (a pattern) -> its name in transformers
     (r"image_encoder\.(norm_head|head)\..*", ""),  # of the classifier that TinyViT was
     (r"image_encoder\.", "vision_encoder."),
@@ -38,10 +41,18 @@ _RENAMES = (  # a name in the checkpoint (a pattern) -> its name in transformers
 def sam_of_checkpoint(transformers: Any, path: Path) -> Any:
     """Read ``mobile_sam.pt`` as its authors publish it: a ``SamModel`` in evaluation mode, on the CPU, in 32 bits.
 
-    Only tensors are read, no code. Other weights raise ScoupError; files that torch cannot read, its exceptions.
+    Only tensors are read, no code. Other weights and files raise ScoupError.
     """
-    weights = torch.load(path, map_location="cpu", weights_only=True)
-    return _fill(_empty_model(transformers), weights)
+    try:
+        weights = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        if "GLOBAL" not in str(error):  # torch's word for what is not a tensor
+            raise ScoupError(_DAMAGED) from error
+        problem = "it contains objects of other code, as FastSAM and YOLO do, which is not supported"
+        raise ScoupError(f"{problem}; {USE_SAM}") from error
+    except (EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+        raise ScoupError(_DAMAGED) from error
+    return _fill(_empty_model(transformers), weights, path.name)
 
 
 def _empty_model(transformers: Any) -> Any:
@@ -54,9 +65,11 @@ def _empty_model(transformers: Any) -> Any:
     return model.eval()
 
 
-def _fill(model: Any, weights: Any) -> Any:
+def _fill(model: Any, weights: Any, file: str) -> Any:
+    if reason := reason_of_checkpoint(weights, file):
+        raise ScoupError(reason)
     if not isinstance(weights, dict):
-        raise ScoupError("it contains no weights by name")
+        raise ScoupError(f"it contains no weights by name; {USE_SAM}")
     given = {_rename(str(name)): value for name, value in weights.items()}
     given.pop("", None)
     places = "shared_image_embedding.positional_embedding"
@@ -66,7 +79,7 @@ def _fill(model: Any, weights: Any) -> Any:
     for name in sorted({*expected, *given}):
         if name not in given or name not in expected or given[name].shape != expected[name].shape:
             raise ScoupError(
-                f"it is not MobileSAM's checkpoint: weight {name!r} is missing, unknown or of another shape"
+                f"it is not MobileSAM's checkpoint: weight {name!r} is missing, unknown or of another shape; {USE_SAM}"
             )
     model.load_state_dict(given)
     model.vision_encoder.fold()

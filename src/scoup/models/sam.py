@@ -182,7 +182,7 @@ def open_sam(
 ) -> Sam:
     """Load a SAM model: MobileSAM by name or path of its checkpoint (.pt), or a folder or hub id, for which ``name``
     may be short."""
-    if name == MOBILE_SAM or name.endswith(".pt"):
+    if name == MOBILE_SAM or name.endswith((".pt", ".pth")):
         return _open_mobile_sam(name, revision, device, half)
     model_id = model_id or name
 

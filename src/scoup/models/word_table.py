@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -211,5 +210,4 @@ def _reporting_damage(path: Path) -> Iterator[None]:
     except OSError as error:
         raise FileFormatError(path, f"cannot be read ({error.strerror or error})", _REMEDY) from error
     except Exception as error:  # zip, zlib, json, struct, numpy and safetensors each raise kinds of their own
-        message = re.sub(r"\s+", " ", str(error))[:120]
-        raise FileFormatError(path, f"is not a readable table ({message})", _REMEDY) from error
+        raise FileFormatError(path, "is not a readable table of text embeddings", _REMEDY) from error

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from scoup.base import InputError, card
+from scoup.base import InputError, card, rounded_vector
 from scoup.field import Field
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.question import Question
@@ -101,5 +99,5 @@ def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list
         parent = "" if thing.parent is None else thing.parent
         score = "" if thing.score is None else round(thing.score, 4)
         facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, score]
-        rows.append([*facts, *np.round(numbers, 6).tolist(), thing.n_gaussians, thing.n_regions])
+        rows.append([*facts, *rounded_vector(numbers, 6), thing.n_gaussians, thing.n_regions])
     return rows

@@ -105,8 +105,9 @@ def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
     of the nearest camera, and from so near that it fills half; none of its own for a thing around that camera."""
     chosen = _best_view(thing, cameras)
     near = min(cameras, key=lambda camera: float((camera.position - thing.position).norm()))
-    ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
-    eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
+    away = thing.position - near.position
+    ahead, size = torch.nn.functional.normalize(away, dim=0), max(thing.size, 1e-3 * float(away.norm()))
+    eye = thing.position - ahead * size * near.fx / min(near.width, near.height)
     with suppress(InputError):
         size = (near.width, near.height)
         chosen.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning, rounded_vector
 from scoup.field import NO_THING, Field
 from scoup.query import constants
 from scoup.query.boxes import PointSets
@@ -85,7 +85,7 @@ class Comparison:
         for change in self.changes:
             record: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
             if change.distance is not None:
-                record["distance"] = round(change.distance, 6)
+                (record["distance"],) = rounded_vector([change.distance], 6)
                 if metres_per_unit is not None:
                     record["distance_metres"] = round(change.distance * metres_per_unit, 6)
             for side, thing, unit in zip(

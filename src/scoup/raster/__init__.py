@@ -46,6 +46,7 @@ __all__ = [
     "morton_order",
     "prepare_gaussians",
     "project",
+    "raster_preset",
     "region_sums",
     "render_channels",
     "render_codes",
@@ -113,7 +114,7 @@ def project(
     Args:
         gaussians: N Gaussians, or the same prepared for many projections (by the backend named there).
         camera: the pinhole camera.
-        preset: rasteriser constants: "inria" (default) or "gsplat".
+        preset: rasteriser constants: "inria" (default) or "gsplat", with another near plane as "inria:0.0125".
         backend: name of a backend; by default the fastest for the tensors' device.
 
     Returns:

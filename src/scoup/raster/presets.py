@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
-from scoup.base import UnknownNameError
+from scoup.base import InputError, UnknownNameError
 
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian contributes exactly to the pixels where its alpha reaches this
 LOW_PASS = 0.3  # added to the diagonal of the 2D covariance, in square pixels
@@ -36,9 +37,18 @@ RASTER_PRESETS = {
 
 
 def raster_preset(preset: str | RasterPreset) -> RasterPreset:
-    """Return the preset of that name; a preset passes through."""
+    """Return the preset of that name, or of name and near plane, such as "inria:0.0125"; a preset passes through."""
     if isinstance(preset, RasterPreset):
         return preset
-    if preset not in RASTER_PRESETS:
+    name, colon, plane = preset.partition(":")
+    if name not in RASTER_PRESETS:
         raise UnknownNameError("raster preset", preset, RASTER_PRESETS)
-    return RASTER_PRESETS[preset]
+    if not colon:
+        return RASTER_PRESETS[name]
+    try:
+        near = float(plane)
+    except ValueError:
+        near = math.nan
+    if not 0 <= near < math.inf:
+        raise InputError(f"raster preset {preset!r}: the near plane after the colon must be a number from 0")
+    return replace(RASTER_PRESETS[name], name=preset, near=near)

@@ -9,6 +9,7 @@ from scoup.uplift.field_transfer import transfer
 from scoup.uplift.fit import measure_fit
 from scoup.uplift.foreign import foreign_field
 from scoup.uplift.naming import name_field
+from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import cameras_with_regions, open_sums, region_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions
@@ -36,6 +37,7 @@ __all__ = [
     "open_sums",
     "pack",
     "region_sums",
+    "scene_preset",
     "transfer",
     "vote",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
@@ -11,6 +12,7 @@ from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, tem
 from scoup.field import Field, FieldInfo, ThingTable
 from scoup.scene import Cameras, Gaussians, Regions, sanity_problems
 from scoup.uplift import fit
+from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model
 from scoup.uplift.rasterise import cameras_with_regions, check_sums, region_sums, release_memory
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest
@@ -69,14 +71,15 @@ def build(
     settings = build_settings(settings, n_atoms=None if codebook is None else codebook.n_atoms)
     model = recorded_model(sources.embedding_model, sources.words)  # a mistake shows before the long work
     with temporary_folder() as folder:
-        if sums is None:
-            path = folder / "sums"
-            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path, settings.scale)
-        check_sums(sums, gaussians, regions, settings)
         views = Cameras(cameras_with_regions(cameras, regions))
+        if sums is None:
+            preset = scene_preset(gaussians, list(views), settings.raster_preset, settings.backend)
+            sums = RegionSums.empty(gaussians, regions.levels, preset, folder / "sums", settings.scale)
+        check_sums(sums, gaussians, regions, settings)
         regions = regions.select(views.names)
         embeddings = RegionEmbeddings.load(regions)
-        check_scene(gaussians, views, settings, sources.geometry_path, check_fit=not len(sums))
+        fitted = replace(settings, raster_preset=sums.raster_preset)
+        check_scene(gaussians, views, fitted, sources.geometry_path, check_fit=not len(sums))
 
         codes = code_regions(embeddings, settings, codebook, gaussians.device, progress)
         inputs = inputs_digest(sums.fingerprint, views, embeddings, settings, codebook)
@@ -97,7 +100,7 @@ def build(
             model,
             sums.fingerprint,
             len(gaussians),
-            settings.raster_preset,
+            sums.raster_preset,
             record,
             sources.table,
         )

@@ -20,16 +20,17 @@ from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, listed, share_of
 from scoup.scene import Camera, Gaussians
+from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.similarity import (
     LEAST_COVERED,
     Array,
     load_photographs,
     render_small,
+    sample_views,
     similarities,
     small_views,
 )
 
-MOST_VIEWS = 8  # rendered
 BLIND = 0.0004  # share of covered pixels below which a camera sees nothing
 # Tuned on kitchen, desk and table of the real data: the medians of right scenes are 0.51 (of 5 % of the Gaussians) and
 # more, of wrong ones 0.37 (focal lengths of 110 %) and less. Held out: 0.47 and 0.39 on shelves, hall and yard.
@@ -68,6 +69,7 @@ class Fit:
     coverage: Array  # [V] share of the pixels with an alpha above one half
     similarity: Array  # [V, V] correlation of each render with each photograph, -1..1; NaN if not comparable
     matches: str = ""  # the change of splat or cameras with which the renders are clearly more similar
+    raster_preset: str = "inria"  # of the renders
 
     @property
     def blind(self) -> NDArray[np.bool_]:
@@ -132,11 +134,13 @@ class Fit:
     def describe(self) -> dict[str, Any]:
         """Return verdict, number of views tried, and medians of the measurements as JSON values."""
         compared = self.compared.any()
+        preset = {"raster_preset": self.raster_preset} if ":" in self.raster_preset else {}
         return {
             "verdict": self.verdict.value,
             "views_tried": len(self.names),
             "coverage": round(float(np.median(self.coverage)), 3) if self.names else None,
             "similarity": round(float(np.median(self.own[self.compared])), 3) if compared else None,
+            **preset,
         }
 
     def reason(self) -> str:
@@ -209,7 +213,9 @@ def check_fit(
 def measure_fit(
     gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria", backend: str | None = None
 ) -> Fit:
-    """Render some of the cameras small, and compare the renders with those photographs that can be read."""
+    """Render some of the cameras small, and compare the renders with those photographs that can be read; the near plane
+    is that of the scene."""
+    raster_preset = scene_preset(gaussians, cameras, raster_preset, backend)
     views = sample_views(cameras)
     if not views:
         return Fit((), np.zeros(0), np.zeros((0, 0)))
@@ -221,7 +227,7 @@ def measure_fit(
         return (alphas > 0.5).mean((1, 2)), similarities(images, alphas, photographs)
 
     coverage, similarity = compared(gaussians, views)
-    fit = Fit(tuple(camera.name for camera in views), coverage, similarity)
+    fit = Fit(tuple(camera.name for camera in views), coverage, similarity, raster_preset=raster_preset)
     if not fit.compared.any() or np.median(fit.own[fit.compared]) >= SURE:
         return fit
     gains = {
@@ -246,14 +252,6 @@ def _changes(
         quats = torch.cat([gaussians.quats[:, :1], -signs * gaussians.quats[:, 1:]], 1)
         mirrored = replace(gaussians, means=signs * gaussians.means, quats=quats)
         yield f"the splat with {name} negated", mirrored, views
-
-
-def sample_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return at most ``MOST_VIEWS`` cameras: pairs of neighbours, evenly spread, to detect names that are one off."""
-    if len(cameras) <= MOST_VIEWS:
-        return list(cameras)
-    starts = np.linspace(0, len(cameras) - 2, MOST_VIEWS // 2).round().astype(int)
-    return [cameras[position] for start in starts for position in (start, start + 1)]
 
 
 def check_coded(weights: Tensor) -> None:

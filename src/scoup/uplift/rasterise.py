@@ -25,6 +25,7 @@ from scoup.base import (
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import constants
+from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.settings import BuildSettings, Scale, build_settings
 from scoup.uplift.stored_sums import RegionSums
 
@@ -77,11 +78,12 @@ def region_sums(
     if sums is not None and path is not None:
         raise InputError("pass `sums` or `path`, not both")
     settings = build_settings(settings)
-    chosen = part.of(cameras_with_regions(cameras, regions))
+    views = cameras_with_regions(cameras, regions)
+    chosen = part.of(views)
     if sums is not None:
         check_sums(sums, gaussians, regions, settings)
         return add_views(sums, gaussians, chosen, regions, settings.backend, progress)
-    sums = open_sums(None if path is None else Path(path), gaussians, regions, settings)
+    sums = open_sums(None if path is None else Path(path), gaussians, regions, settings, views)
     try:
         return add_views(sums, gaussians, chosen, regions, settings.backend, progress)
     finally:
@@ -89,14 +91,21 @@ def region_sums(
 
 
 def open_sums(
-    path: Path | None, gaussians: Gaussians, regions: Regions, settings: BuildSettings
+    path: Path | None,
+    gaussians: Gaussians,
+    regions: Regions,
+    settings: BuildSettings,
+    cameras: Sequence[Camera] = (),
 ) -> RegionSums:
     """Return the region sums in a folder, to which views can be added; new ones where there are none, or in memory.
+
+    ``cameras`` are all of the scene, by which new ones take its near plane.
 
     Raises an InputError for a folder of another scene.
     """
     if path is None or not RegionSums.are_in(path):
-        return RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path, settings.scale)
+        preset = scene_preset(gaussians, cameras, settings.raster_preset, settings.backend)
+        return RegionSums.empty(gaussians, regions.levels, preset, path, settings.scale)
     sums = RegionSums.open(path, writable=True)
     check_sums(sums, gaussians, regions, settings)
     return sums
@@ -191,7 +200,11 @@ def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, setting
         for what, same in (
             ("Gaussians", sums.fingerprint == gaussians.fingerprint()),
             (f"levels ({', '.join(sums.levels)})", sums.levels == tuple(regions.levels)),
-            (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == settings.raster_preset),
+            (
+                f"rasteriser preset ({sums.raster_preset})",
+                # One without a near plane takes that of the sums.
+                settings.raster_preset in (sums.raster_preset, sums.raster_preset.partition(":")[0]),
+            ),
             (f"scale ({sums.scale})", sums.scale == settings.scale),
         )
         if not same

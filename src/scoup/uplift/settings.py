@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
+from scoup import raster
 from scoup.base import InputError, check_arguments, looked_up
 
 Scale: TypeAlias = float | Literal["auto"]
@@ -49,7 +50,8 @@ class BuildSettings:
     seed: int = 0
     """Seed of the codebook's start; the same seed gives the same file (for adam, with the same number of threads)."""
     raster_preset: str = "inria"
-    """Rasteriser constants the scene was trained with: "inria" or "gsplat"."""
+    """Rasteriser constants the scene was trained with: "inria" or "gsplat". Their near plane is replaced where it cuts
+    what the cameras see, unless it is named, as in "inria:0.2" (``scoup.uplift.near_plane``)."""
     scale: Scale = "auto"
     """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1; auto: the longer
     side has 500 pixels, or the camera's if it is shorter."""
@@ -81,6 +83,7 @@ class BuildSettings:
             )
         if self.rounds < 1:
             raise InputError(f"the vote needs at least one round, got {self.rounds}")
+        raster.raster_preset(self.raster_preset)
         check_scale(self.scale)
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")

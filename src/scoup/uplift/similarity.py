@@ -18,6 +18,7 @@ from scoup.scene import SH_C0, Camera, Gaussians
 
 Array = NDArray[np.float64]
 
+MOST_VIEWS = 8  # rendered
 LONGEST_SIDE = 256  # of a render, in pixels
 FINEST, COARSEST = 1.5, 10.0  # standard deviations of the blurs whose difference is detail, in pixels
 LEAST_COVERED = 0.002  # mean alpha below which a render is not compared
@@ -26,6 +27,14 @@ LEAST_CONTRAST = (
 )  # standard deviation of detail below which it is not scaled up to that of other places
 LEAST_DETAIL = 0.1  # mean square of detail that is compared; strong detail is about 1
 PLAIN = 0.002  # mean square of detail below which a photograph shows nothing
+
+
+def sample_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return at most ``MOST_VIEWS`` cameras: pairs of neighbours, evenly spread, to detect names that are one off."""
+    if len(cameras) <= MOST_VIEWS:
+        return list(cameras)
+    starts = np.linspace(0, len(cameras) - 2, MOST_VIEWS // 2).round().astype(int)
+    return [cameras[position] for start in starts for position in (start, start + 1)]
 
 
 def small_views(cameras: Sequence[Camera]) -> list[Camera]:

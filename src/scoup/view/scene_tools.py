@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base import InputError, OutputExistsError, ScoupError, looked_up
+from scoup.base import InputError, OutputExistsError, ScoupError, looked_up, rounded_vector
 from scoup.io import save_gaussians
 from scoup.models import LONGEST
 from scoup.pictures import Picture, as_picture, mask_overlay
@@ -67,7 +67,7 @@ class SceneTools:
         return [
             {
                 "camera": camera.name,
-                "position": [round(value, 5) for value in camera.position.tolist()],
+                "position": rounded_vector(camera.position.tolist(), 5),
                 "width": camera.width,
                 "height": camera.height,
             }
@@ -158,6 +158,7 @@ class SceneTools:
         every = self._things(scene)
         one, two = _numbered_thing(every, thing), _numbered_thing(every, other)
         distance = float((one.position - two.position).norm())
+        # Metres are no arbitrary unit: a tenth of a millimetre is enough.
         metres = {} if self.metres_per_unit is None else {"metres": round(distance * self.metres_per_unit, 4)}
         return {"thing": thing, "other": other, "distance": float(f"{distance:.6g}"), **metres}
 

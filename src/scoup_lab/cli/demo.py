@@ -22,9 +22,9 @@ ASKED = ("teapot", "mug left of the laptop", "elephant")
 class Demo:
     """Make a small scene, build its language field, query every object in it, and score the answers.
 
-    Needs no network, no GPU and no data. Regions and embeddings are simulated, so only the words of
-    OUT/scene/words.txt can be asked; the truth comes from the scene's geometry. Afterwards OUT contains the scene as
-    files (try `scoup build OUT/scene`), the field, a contact sheet of queries, and the scores.
+    Needs no network, no GPU and no data. Regions and embeddings are simulated: it finds the names of
+    OUT/scene/words.txt and knows few other words; the truth comes from the scene's geometry. Afterwards OUT contains
+    the scene as files (try `scoup build OUT/scene`), the field, a contact sheet of queries, and the scores.
     """
 
     out: Path = Path("demo")
@@ -132,7 +132,7 @@ def _say_story(console: Console, story: dict[str, str], out: Path, no_page: str)
     page = no_page or f"{out / PAGE} (open it in a browser; it needs no server)"
     console.say(f"\npictures: {out / SHEET}\npage:     {page}")
     console.say(
-        f"words:    regions and embeddings are simulated, so it knows only those of {out / 'scene' / 'words.txt'}"
+        f"words:    regions and embeddings are simulated: it finds the names of {out / 'scene' / 'words.txt'}"
     )
     console.say(f"as files: {command('query', out / FIELD, *ASKED, '--camera', 'all')}")
     console.say(f"next:     {command('view', out / FIELD)}, then type a word")

@@ -67,7 +67,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 regions,
                 settings=settings,
                 sources=FieldSources(model, words, scene.splat),
-                sums=open_sums(work / "sums", gaussians, regions, settings),
+                sums=open_sums(work / "sums", gaussians, regions, settings, list(scene.cameras)),
                 progress=progress,
             )
             field.save(path, overwrite=True)

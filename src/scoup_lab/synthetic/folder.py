@@ -35,7 +35,7 @@ images/              renders of them, in place of photographs
 sparse/0/            their cameras, as COLMAP writes them
 language_features/   simulated regions and embeddings
 text.npz             simulated text vectors: names [M], vectors [M, 512]
-words.txt            the names of what is in the scene: what can be asked
+words.txt            the names of what is in the scene
 held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
                      label/ with the truth as LERF-OVS label files
 

@@ -28,7 +28,9 @@ _AXIS: Axis = "x"
 _QUARTER = np.array(
     [[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32
 )  # from right, back, down to right, down, front
-MOST_BITS = 16  # after the binary point of a coordinate
+MOST_BITS = (
+    16  # after the binary point of a coordinate; where they are too few, scales are clipped, too, and said
+)
 _MOST_FIXED = (1 << 23) - 1  # what 24 bits with a sign hold
 _MOST_DEGREE = {3: 3, 4: 4}  # of SH, by version that is written
 _COLOR = 0.15  # of a base colour's coefficient in a byte
