@@ -227,7 +227,7 @@ class TextEncoder:
         once, and read from the user's cache afterwards.
         """
         if self._everyday is None and self._model is not None:
-            self._everyday = self._model.everyday()
+            self._everyday = self._model.everyday
         elif self._everyday is None:
             phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
             names = words.EVERYDAY_WORDS if self.names is None else self.names

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import astuple
+from functools import cached_property
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -23,6 +24,7 @@ from torch import Tensor
 
 from scoup.base import FileFormatError, ScoupError, slug, write_npz
 from scoup.models import words
+from scoup.models.entry import Device
 from scoup.models.hub import ModelIdentity
 from scoup.models.word_table import MODEL_KEY, WordTable
 
@@ -51,7 +53,7 @@ class CachedTexts:
         self,
         name: str,
         revision: str | None,
-        device: torch.device | str,
+        device: Device,
         load: Callable[[], tuple[EncodeUnit, ModelIdentity]],
     ) -> None:
         self.name, self._load, self._lock = name, load, Lock()
@@ -59,7 +61,6 @@ class CachedTexts:
         self._key = [_VERSION, name, revision, self._folder]
         self._path = _path(self._folder, name, self._key)
         self._encode: EncodeUnit | None = None
-        self._everyday: Tensor | None = None
         known = None if self._path is None else _read_model(self._path, self._key)
         if known is None or not known[0].is_current(name, revision):
             known, self._encode = self._opened()
@@ -69,20 +70,16 @@ class CachedTexts:
         """Return [Q, D] float32 unit vectors of one phrase or more."""
         rows = {word: row for row, word in enumerate(words.EVERYDAY_WORDS)}
         others = list(dict.fromkeys(phrase for phrase in phrases if phrase not in rows))
-        vectors = list(map(self._one, others) if len(others) <= MOST_ALONE else self._new(others))
-        by_phrase = dict(zip(others, vectors, strict=True))
+        vectors = map(self._one, others) if len(others) <= MOST_ALONE else self._new(others)
+        new = dict(zip(others, vectors, strict=True))
         return torch.stack(
-            [
-                by_phrase[phrase] if phrase in by_phrase else self.everyday()[rows[phrase]]
-                for phrase in phrases
-            ]
+            [new[phrase] if phrase in new else self.everyday[rows[phrase]] for phrase in phrases]
         )
 
+    @cached_property
     def everyday(self) -> Tensor:
-        """Return [B, D] float32 unit vectors of the everyday words."""
-        if self._everyday is None:
-            self._everyday = cached_vectors(self.model, self.probe, words.EVERYDAY_WORDS, self._new)
-        return self._everyday
+        """Unit vectors of the everyday words, [B, D] float32."""
+        return cached_vectors(self.model, self.probe, words.EVERYDAY_WORDS, self._new)
 
     def _one(self, phrase: str) -> Tensor:
         if len(phrase.encode("utf-8", "surrogatepass")) > _MOST_BYTES:
@@ -114,11 +111,7 @@ class CachedTexts:
 
 
 def cached_vectors(
-    model: ModelIdentity,
-    probe: Tensor,
-    words: Sequence[str],
-    encode: EncodeUnit,
-    folder: str = "words",
+    model: ModelIdentity, probe: Tensor, words: Sequence[str], encode: EncodeUnit, folder: str = "words"
 ) -> Tensor:
     """Return unit vectors of words [B, D] float32: those in the cache, else encoded and written there.
 
@@ -197,5 +190,4 @@ def _read(path: Path, names: Sequence[str], probe: Tensor) -> Tensor | None:
 
 
 def _alike(first: Tensor, second: Tensor) -> bool:
-    same_size = first.shape == second.shape
-    return same_size and float(first[0].double() @ second[0].double()) >= _LEAST_COSINE
+    return first.shape == second.shape and float(first[0].double() @ second[0].double()) >= _LEAST_COSINE
