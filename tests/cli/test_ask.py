@@ -146,6 +146,19 @@ def test_a_table_and_a_splat_named_on_the_command_line_win():
     assert {**mug, "text": "kettle"} == kettle
 
 
+def test_masks_for_trainers():
+    options = ("--camera", "all", "--pictures", "masks", "--npz", "--out", "m")
+    assert run("query", "f.scoup", "kettle", "mug", *options)[0] == 0
+    assert run("label", "f.scoup", "kettle", "mug", "--outputs", "masks", "--out", "l")[0] == 0
+    for name in LanguageField.load("f.scoup").cameras.names:
+        stem = name.removesuffix(".png")
+        expected = np.load(f"m/{stem}/relevancy.npz")["mask"].any(0)
+        with Image.open(f"m/masks/{stem}.png") as picture, Image.open(f"l/masks/{stem}.png") as labelled:
+            assert (np.asarray(picture) == 255 * expected).all()
+            assert set(np.unique(np.asarray(labelled))) <= {0, 255}
+            assert labelled.size == picture.size
+
+
 def test_arrays_and_coco_hold_the_answers():
     options = ("--camera", "all", "--npz", "--coco", "--pictures", "none", "--out", "a")
     record = run_json("query", "f.scoup", *TEXTS, *options)

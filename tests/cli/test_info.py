@@ -29,6 +29,7 @@ RECORDS: dict[str, dict[str, object]] = {
     "a.splat": SPLAT,
     "scene": {"kind": "scene", "cameras": 4, "with_image": 4, "views_with_regions": 4, "sizes": ["40 x 30"],
               "regions": {"s": 24, "m": 24, "l": 24}, "splat": "scene/point_cloud.ply"},
+    "cameras_alone": {"not_found": ["trained splat (contains no trained splat)", "region features"]},
     "transforms.json": CAMERAS, "cameras.json": CAMERAS,
     "scene/sparse/0/cameras.bin": CAMERAS, "scene/sparse/0": CAMERAS,
     "scene/words.npz": {"kind": "word table", "dim": 16}, "words.json": {"names": ["kettle", "mug"]},
@@ -40,6 +41,7 @@ RECORDS: dict[str, dict[str, object]] = {
 def test_every_kind_of_file(name):
     save_gaussians(load_gaussians("scene/point_cloud.ply"), "a.splat")
     write_transforms(load_cameras("scene"), "transforms.json")
+    shutil.copytree("scene/sparse", "cameras_alone/sparse")
     write_inria_cameras(load_cameras("scene"), "cameras.json")
     Path("words.json").write_text(json.dumps({"kettle": [1.0, 2.0], "mug": [0.5, 1.0]}))
     record = run_json("info", name)
@@ -104,9 +106,9 @@ def rename(path: Path) -> None:
 
 CHANGES = {
     "fewer photographs": (lambda: Path("scene/images/view_01.png").unlink(),
-                          "skipped 1 of 4 cameras without an image (looked for scene/images/view_01.png)"),
+                          "skipped 1 of 4 cameras without an image (looked for scene/images/view_01.png; scene/"),
     "no photographs": (lambda: shutil.rmtree("scene/images"),
-                       "none of the 4 images was found (there is no folder images); using the cameras alone"),
+                       "none of the 4 images was found (there is no folder scene/images); using the cameras alone"),
     "another splat": (another_splat, "scene/point_cloud.ply: does not fit the cameras: 4 of 4 renders tried"),
     "blank photographs": (each_file("images", Image.new("RGB", (40, 30)).save),
                           "whether the cameras fit was not judged"),
@@ -151,8 +153,8 @@ def test_a_folder_of_colmap_means_its_scene():
 def test_several_models_of_colmap():
     shutil.copytree("scene/sparse/0", "scene/sparse/10")
     shutil.copytree("scene/sparse/0", "scene/sparse/2")
-    said = "scene/sparse/0: used, and 2 other COLMAP models not; to use another, pass its folder "
-    said += "(scene/sparse/2, scene/sparse/10)"
+    said = "scene/sparse/0: used, with 4 images, and not scene/sparse/2 (4), scene/sparse/10 (4); to use "
+    said += "another COLMAP model, pass its folder"
     assert run_json("info", "scene")["warnings"] == [said]
     assert said in run_json(*BUILD)["warnings"]
     assert said not in run_json("info", "scene/sparse/10").get("warnings", [])

@@ -123,6 +123,12 @@ def test_frames_are_matched_by_name(tmp_path: Path) -> None:
         assert len(match_frames(frames, cameras("frame_00001.jpg"))) == 1
     with refuses():
         match_frames(frames, cameras("DSC01.jpg"))
+    for width, height in ((120, 80), (45, 30), (61, 40)):  # other sizes of this shape, rounded
+        assert match_frames(
+            frames[:1], Cameras([Camera("frame_00001", torch.eye(4), torch.eye(3), width, height)])
+        )
+    with refuses():
+        match_frames(frames[:1], Cameras([Camera("frame_00001", torch.eye(4), torch.eye(3), 40, 60)]))
     absent, empty = tmp_path / "absent", tmp_path / "empty"
     empty.mkdir()
     for read, path in ((read_labels, empty), (read_labels, absent), (read_frame, tmp_path / "a.json")):
@@ -142,7 +148,8 @@ GOOD = {"info": {"width": 60, "height": 40}, "objects": [square("cup", 1, 1, 5, 
             {"width": 99999, "height": 99999})],
         *[json.dumps({**GOOD, "objects": [{**GOOD["objects"][0], **change}]}) for change in (
             {"category": None}, {"category": " "}, {"segmentation": []}, {"segmentation": None},
-            {"segmentation": [[1]]}, {"segmentation": [[1, "2"]]}, {"segmentation": [[1, float("nan")]]},
+            {"segmentation": [[70, 2], [80, 2]]}, {"segmentation": [[1]]}, {"segmentation": [[1, "2"]]},
+            {"segmentation": [[1, float("nan")]]},
             {"segmentation": [[1e300, 2]]}, {"bbox": [1, 2, 3]}, {"bbox": "1234"})],
         json.dumps({**GOOD, "objects": [7]}),
     ],
@@ -179,7 +186,7 @@ def write_scene(folder: Path) -> Path:
     for frame in ("02", "00"):
         paint(home / frame / "wood table.png", 0, 4)
         paint(home / frame / "wood wall.png", 10, 15)
-        paint(home / frame / "lamp.png")
+        paint(home / frame / "lamp.png", 17, 19)
     (home / "classes.txt").write_text("lamp\nwood wall\n\nwood table \n")
     return folder
 
@@ -190,7 +197,7 @@ def test_reading(tmp_path: Path) -> None:
     assert frames[0].labels == ("lamp", "wood wall", "wood table")
     assert (frames[0].width, frames[0].height) == (30, 20)
     assert frames[0].masks["wood wall"].any(1).nonzero().flatten().tolist() == [10, 11, 12, 13, 14]
-    assert not frames[0].masks["lamp"].any()
+    assert int(frames[0].masks["lamp"].sum()) == 60
     # Anything brighter than half is inside, whatever the mode.
     picture = Image.fromarray(np.full((20, 30, 3), 255, np.uint8))
     picture.putpixel((5, 6), (20, 20, 20))
@@ -247,7 +254,8 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "twice": lambda home: (home / "classes.txt").write_text("lamp\nlamp\n"),
     "no text": lambda home: (home / "classes.txt").write_bytes(b"\xff\xfe\x00lamp"),
     "picture": lambda home: (home / "00" / "lamp.png").write_bytes(b"no picture"),
-    "sizes": lambda home: paint(home / "00" / "lamp.png", size=(20, 31)),
+    "sizes": lambda home: paint(home / "00" / "lamp.png", 1, 2, size=(20, 31)),
+    "black": lambda home: paint(home / "00" / "lamp.png"),
     "none": lambda home: (home / "classes.txt").write_text("unheard of\n"),
 }
 

@@ -14,7 +14,14 @@ from PIL import Image, ImageOps
 from mask_samples import smooth_image
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
-from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
+from scoup.extract.photographs import (
+    Photograph,
+    Pixels,
+    find_photographs,
+    read_ahead,
+    read_photograph,
+    report_masks,
+)
 from scoup.io import load_image, write_colmap
 from scoup.scene import Cameras
 from support import make_camera
@@ -132,6 +139,63 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     for name in ("nowhere", "empty"):
         with refuses(MissingFileError):
             find_photographs(tmp_path / name)
+
+
+LEFT = np.arange(30) < 10
+PLACES = {
+    "COLMAP": "masks/cam.1/a.jpg.png", "LichtFeld": "masks/cam.1/a.png", "mask": "mask/cam.1/a.jpg",
+    "dots": "masks/cam.1/a.jpg.mask.png", "in images": "images/masks/cam.1/a.png",
+    "RealityScan": "images/cam.1/a.jpg.mask.png", "3DGRUT": "images/cam.1/a_mask.png",
+    "beside": "images/cam.1/masks/a.png",
+    "doubled": "images/cam.1/a.jpg.png", "instant-ngp": "images/cam.1/dynamic_mask_a.png",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cameras", [True, False])
+@pytest.mark.parametrize("place", PLACES)
+def test_masks_of_other_programs(tmp_path: Path, place: str, cameras: bool) -> None:
+    hidden = ~LEFT if place == "instant-ngp" else LEFT
+    for name, pixels in (("images/cam.1/a.jpg", IMAGE), (PLACES[place], 255 * ~hidden[None].repeat(20, 0))):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(pixels.astype(np.uint8)).save(tmp_path / name)
+    if cameras:
+        write_colmap(Cameras([make_camera(30, 20, name="cam.1/a.jpg")]), tmp_path / "sparse/0")
+    (item,) = find_photographs(tmp_path)
+    assert item.mask == tmp_path / PLACES[place]
+    (_, pixels), *_ = read_ahead([item], None)
+    assert isinstance(pixels, Pixels)
+    assert pixels.masked is not None
+    assert (pixels.masked == LEFT).all()
+    assert "1 mask: 33% of the pixels" in report_masks([item])
+    (tmp_path / "images/cam.1/a.jpg").unlink()
+    with pytest.raises(MissingFileError if not cameras else FileFormatError):
+        find_photographs(tmp_path)
+
+
+def test_masks_that_hide_most_are_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "masks").mkdir()
+    for number in range(3):
+        Image.fromarray(IMAGE).save(tmp_path / f"{number}.png")
+        Image.fromarray(LEFT[None].repeat(20, 0)).save(tmp_path / f"masks/{number}.png")
+    with refuses():
+        report_masks(find_photographs(tmp_path))
+    for masks, share in (("white", "67%"), ("black", "33%"), (False, "")):
+        found = find_photographs(tmp_path, masks=masks)
+        assert report_masks(found) == (f"3 masks: {share} of the pixels get no regions" if share else "")
+
+
+def test_transparency_is_a_mask(tmp_path: Path) -> None:
+    alpha = np.where(LEFT, 0, 255).astype(np.uint8)[None].repeat(20, 0)
+    for name, of in (("a.png", alpha), ("opaque.png", 0 * alpha + 255), ("nowhere.png", 0 * alpha)):
+        Image.fromarray(np.dstack([IMAGE, of])).save(tmp_path / name)
+    masked = {
+        name: read_photograph(tmp_path / name).masked for name in ("a.png", "opaque.png", "nowhere.png")
+    }
+    assert masked["opaque.png"] is masked["nowhere.png"] is None
+    assert masked["a.png"] is not None
+    assert (masked["a.png"] == LEFT).all()
+    assert read_photograph(tmp_path / "a.png", masks_keep="all").masked is None
+    assert "transparent photographs: 11%" in report_masks(find_photographs(tmp_path))
 
 
 def test_threads_that_decode_leave_the_filters_of_warnings_alone(tmp_path: Path, monkeypatch) -> None:

@@ -30,6 +30,7 @@ from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.io.splats.splat import read_splat
+from scoup.models import WordTable
 
 Change = Callable[[bytes], bytes]
 
@@ -333,7 +334,40 @@ AUTOENCODER = {
     "list": [1, 2], "objects": nn.Linear(2, 2),
 }  # fmt: skip
 
-SPLATFACTO = {"scales": {"_model.gauss_params.scales": torch.zeros(8, 3)}, "pipeline": None}
+SPLATFACTO = {
+    "scales": {"_model.gauss_params.scales": torch.zeros(8, 3)}, "pipeline": None,
+    "four scales": {"_model.gauss_params.scales": torch.zeros(9, 4)},
+    "appearance": {"_model.gauss_params.features_dc": None, "_model.gauss_params.colors": torch.zeros(9, 3)},
+}  # fmt: skip
+
+# ---- of other programs
+
+
+def stored_as_they_are(folder: Path, names: str, count: int = 60) -> Path:
+    """A PLY whose exporter forgot the logarithm or the logit of some properties."""
+    columns = raw_columns(count, seed=1)
+    for name, values in columns.items():
+        if re.fullmatch(names, name):
+            columns[name] = 1 / (1 + np.exp(-3 * values)) if name == "opacity" else np.exp(values - 3)
+    return ply_file(folder / "a.ply", columns)
+
+
+def file_of_others(folder: Path, entries: str) -> Path:
+    """JSON or .npz with these entries."""
+    name, *keys = entries.split()
+    values: dict[str, Any] = {key: [[1.0, 2.0]] for key in keys}
+    np.savez(folder / "a.npz", **values)
+    (folder / "a.json").write_text(json.dumps(values))
+    return (folder / f"a{Path(name).suffix}").rename(folder / name)
+
+
+OTHERS = {entries.split()[0]: entries for entries in (
+    "metadata.json fps K poses", "camera_path.json camera_path", "params.npz means3D log_scales cam_trans",
+    "compression.json means scales quats sh0", "meta.json version count means scales sh0",
+    "dataparser.json transform scale",
+    "sfm_data.json sfm_data_version views", "cameras.json poses views", "reconstruction.json cameras reference_lla",
+    "coco.json images annotations categories", "frame.json info objects",
+)}  # fmt: skip
 
 
 KINDS = {
@@ -353,5 +387,14 @@ KINDS = {
     "gsplat": Kind(lambda folder, make: make(folder), load_gaussians, GSPLAT),
     "nerfstudio": Kind(damaged_splatfacto, load_gaussians, SPLATFACTO),
     "LangSplatV2": Kind(damaged_langsplat, read_langsplat, LANGSPLAT),
+    "stored as they are": Kind(
+        stored_as_they_are, load_gaussians, {name: name for name in ("opacity|scale_.", "opacity", "scale_.")}
+    ),
+    "others": Kind(file_of_others, WordTable.load, OTHERS),
+    "others as splats": Kind(
+        file_of_others,
+        load_gaussians,
+        {name: OTHERS[name] for name in ("params.npz", "compression.json", "meta.json")},
+    ),
     "autoencoder": Kind(partial(torch_file, "a.pth"), read_autoencoder, AUTOENCODER),
 }

@@ -30,6 +30,7 @@ from io_samples import (
 )
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.extract import find_photographs
 from scoup.io import load_cameras, read_points, read_tracks, write_colmap, write_transforms
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args
@@ -176,6 +177,14 @@ def test_intrinsics_of_transforms(tmp_path: Path, settings: Any, options: Any, e
 
 def test_lenses_of_transforms(tmp_path: Path) -> None:
     straight = {"is_fisheye": False, "latlong": None, "ftheta_p0": 0.0, "k3": 0.0, "camera_model": "pinhole"}
+    labelled = (
+        {"camera_name": "panorama_03"},
+        {"panorama_name": "room"},
+        {"lens_model": "fisheye, undistorted"},
+    )
+    for words in labelled:
+        for model in ({"camera_model": "PINHOLE", "camera_type": "omni"}, {"fisheye_crop_radius": 9}):
+            assert len(read_transforms(transforms(tmp_path, **words, frame=model))) == 1
     own = {"is_fisheye": True, "frame": {"is_fisheye": False, "file_path": "fisheye/a.png"}}
     for settings in (straight, own):
         assert not read_transforms(transforms(tmp_path, **settings))[0].distortion
@@ -196,10 +205,6 @@ def test_masks_of_photographs(tmp_path: Path) -> None:
     for name in ("masks/none.png", "../masks/view_00.png"):
         with warns(ScoupWarning):
             assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
-    for name in ("a.png", "dynamic_mask_a.png"):  # as instant-ngp names them
-        save_images(some_cameras(1), tmp_path / "images")
-        (tmp_path / "images" / "view_00.png").rename(tmp_path / "images" / name)
-    assert read_transforms(transforms(tmp_path))[0].mask_path == tmp_path / "images" / "dynamic_mask_a.png"
 
 
 def test_image_gives_size_and_extension(tmp_path: Path) -> None:
@@ -250,6 +255,17 @@ def test_latest_point_cloud(tmp_path: Path) -> None:
     (tmp_path / "point_cloud" / "iteration_best").mkdir()
     for place in (tmp_path, tmp_path / "point_cloud"):
         assert latest_point_cloud(place).parent.name == "iteration_30000"
+    splat = tmp_path / "point_cloud" / "final" / "point_cloud.ply"  # of MonoGS
+    splat.parent.mkdir()
+    splat.write_text("x")
+    assert latest_point_cloud(tmp_path) == splat
+    other = tmp_path / "other" / "point_cloud" / "best" / "splat.ply"
+    other.parent.mkdir(parents=True)
+    other.write_text("x")
+    assert latest_point_cloud(tmp_path / "other") == other
+    other.with_name("second.ply").write_text("x")
+    with refuses(MissingFileError):
+        latest_point_cloud(tmp_path / "other")
 
 
 # ---- the frame that nerfstudio trains in
@@ -308,6 +324,61 @@ def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
     path.write_bytes(path.read_bytes().replace(b"view_00.png", b"K\xfcche.png"))
     with warns(ScoupWarning):
         assert load_cameras(tmp_path, missing_images="keep").names == ("Küche.png",)
+
+
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("cameras.txt", "# ", " \t# "), ("images.txt", "\n1 ", "\n1.0 "), ("cameras.txt", " 32 24 ", " 32.0 24. "),
+    ("images.txt", "\n\n", "\n 1.5 2.5 -1.0\n"), ("images.txt", ".png\n\n", "\n"),
+    ("images.txt", ".png\n\n", "\n1 2 3 4 5 6\n"),
+])  # fmt: skip
+def test_text_models_of_other_programs(tmp_path: Path, file: str, old: str, new: str) -> None:
+    cameras = Cameras(
+        replace(camera, name=f"{number:06}.png") for number, camera in enumerate(some_cameras(4))
+    )
+    write_colmap_text(cameras, tmp_path)
+    text = (tmp_path / file).read_text()
+    (tmp_path / file).write_text(text.replace(old, new))
+    found = load_cameras(tmp_path, missing_images="keep")
+    for one, other in zip(found, cameras, strict=True):
+        assert one.name in (other.name, other.stem)
+        assert torch.equal(one.K, other.K)
+        torch.testing.assert_close(one.viewmat, other.viewmat)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_largest(tmp_path: Path, binary: bool) -> None:
+    for number, count in enumerate((1, 3, 2)):
+        (write_colmap if binary else write_colmap_text)(some_cameras(count), tmp_path / f"sparse/{number}")
+    with warns(ScoupWarning):
+        assert len(load_cameras(tmp_path, missing_images="keep")) == 3
+    assert len(load_cameras(tmp_path / "sparse/2", missing_images="keep")) == 2
+
+
+@pytest.mark.parametrize("name", ["colmap", "sparse", "0", "colmap/colmap"])
+def test_scenes_with_names_of_parts(tmp_path: Path, name: str) -> None:
+    write_colmap(some_cameras(2), tmp_path / name / "sparse/0")
+    save_images(some_cameras(2), tmp_path / name / "images")
+    for path in (tmp_path / name, tmp_path / name / "sparse/0"):
+        assert [item.path.parent for item in find_photographs(path)] == [tmp_path / name / "images"] * 2
+
+
+@pytest.mark.parametrize("format", ["colmap", "transforms"])
+@pytest.mark.parametrize("ending", [".HEIC", ".jxl", ".NEF"])
+def test_converted_photographs(tmp_path: Path, format: str, ending: str) -> None:
+    cameras = Cameras(replace(camera, name=f"{camera.stem}{ending}") for camera in some_cameras(2))
+    save_images(some_cameras(2), tmp_path / "images")
+    (tmp_path / "images" / cameras[0].name).write_bytes(b"original")
+    if format == "colmap":
+        write_colmap(cameras, tmp_path / "sparse/0")
+    else:
+        write_transforms(cameras, tmp_path / "transforms.json")
+    assert [item.path.suffix for item in find_photographs(tmp_path)] == [".png"] * 2
+    for photograph in tmp_path.glob("images/*.png"):
+        photograph.rename(photograph.with_suffix(ending)).write_bytes(b"original")
+    with warns(ScoupWarning):
+        load_cameras(tmp_path)
+    with refuses(MissingFileError):
+        find_photographs(tmp_path / "images")
 
 
 def test_one_line_per_image(tmp_path: Path) -> None:

@@ -225,6 +225,13 @@ LABELLED = {
     "nan": TEXT + "1 nan 3 0 0 0 255 7\n3 0 0 0\n",
     "cut": POINT_HEADER.format(encoding="binary_little_endian", count=1_000_000_000) + "\0" * 100,
 }
+PICTURES = {
+    "HEIC": b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "AVIF": b"\0\0\0\x20ftypavif\0\0\0\0avifmif1",
+    "AVIF by its brands": b"\0\0\0\x20ftypmif1\0\0\0\0mif1avif", "JPEG XL": b"\xff\x0a\0",
+    "CR3": b"\0\0\0\x18ftypcrx \0",
+    "boxed JPEG XL": b"\0\0\0\x0cJXL \r\n\x87\n", "JPEG 2000": b"\0\0\0\x0cjP  \r\n\x87\n",
+    "bare JPEG 2000": b"\xff\x4f\xff\x51\0", "OpenEXR": b"v/1\x01\2\0\0\0",
+}  # fmt: skip
 PROGRAM = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n%%EOF\n"
 
 
@@ -261,7 +268,7 @@ KINDS = {
     "embeddings of regions": Kind(damaged_embeddings, load_view, EMBEDDINGS),
     "manifest": Kind(damaged_manifest, load_view, MANIFESTS),
     "labelled points": Kind(partial(text_file, "a.ply"), read_labelled_ply, LABELLED),
-    "photograph": Kind(partial(written, "a.png"), image_size, {"program": PROGRAM}),
+    "photograph": Kind(partial(written, "a.png"), image_size, {"program": PROGRAM, **PICTURES}),
 }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from splat_damages import record
+from splat_damages import record, stored_as_they_are
 
 from io_samples import ply_file, raw_columns, same_gaussians, save_compressed_ply, save_spz, some_gaussians
 from messages import refuses, warns
@@ -75,6 +75,23 @@ def test_order_extras_and_types_do_not_matter(tmp_path):
         assert same_gaussians(plain, read_ply(ply_file(tmp_path / f"{number}.ply", other, encoding)))
 
 
+@pytest.mark.parametrize("names", ["opacity|scale_.", "opacity", "scale_.", "none"])
+def test_scales_and_opacities_as_they_are(tmp_path, names):
+    found = load_gaussians(stored_as_they_are(tmp_path, names), activated=True)
+    raw = raw_columns(60, seed=1)
+    scales = np.exp(np.stack([raw[f"scale_{axis}"] for axis in range(3)], 1) - 3 * ("scale" in names))
+    opacities = 1 / (1 + np.exp(-raw["opacity"] * (3 if "opacity" in names else 1)))
+    np.testing.assert_allclose(found.scales, scales, rtol=1e-5)
+    np.testing.assert_allclose(found.opacities, opacities, rtol=1e-5)
+    save_gaussians(found, tmp_path / "b.ply")
+    torch.testing.assert_close(
+        found.tensors(), load_gaussians(tmp_path / "b.ply").tensors(), rtol=1e-5, atol=1e-6
+    )
+    save_gaussians(found, tmp_path / "b.splat")
+    with refuses():
+        load_gaussians(tmp_path / "b.splat", activated=True)
+
+
 def test_the_filter_of_mip_splatting_is_applied(tmp_path):
     columns = raw_columns(5)
     columns["filter_3D"] = np.array([0, 0.05, 0.5, 1e-3, 7], np.float32)
@@ -107,7 +124,7 @@ def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
 
 
 @pytest.mark.parametrize(("old", "new", "before", "after"), [
-    (b"ply\n", b"\xef\xbb\xbfply\n", b"", b""), (b"\n", b"\r\n", b"", b""),
+    (b"float ", b"float scalar_", b"", b""), (b"ply\n", b"\xef\xbb\xbfply\n", b"", b""), (b"\n", b"\r\n", b"", b""),
     *((b"element", line + b"\nelement", b"", b"") for line in (
         *(f"comment {text}".encode() for text in ("by Ångström lab", "/全景/光学.jpg", "Συντάκτης", "хлеб")),
         b"comment scan\x85 final", "obj_info Ångström".encode(), "comment 部屋".encode("shift_jis"))),
@@ -259,6 +276,8 @@ def test_large_files_are_read_as_in_memory(
             found.append(load_gaussians(tmp_path / "a.ply"))
         assert len(caught) == bool(broken)
     assert same_gaussians(*found)
+    for rows in (each.source_rows for each in found):
+        assert (~rows).nonzero()[:, 0].tolist() == broken if broken else rows is None
     assert len(found[0]) == count - len(broken)
     assert found[0].fingerprint() == found[1].fingerprint()
 

@@ -3,6 +3,7 @@ and cameras in its frame."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import zipfile
 from dataclasses import replace
@@ -23,8 +24,8 @@ from foreign_samples import (
     some_similarity,
 )
 from io_samples import APPLIED, save_checkpoint, save_images, some_cameras, some_gaussians
-from messages import refuses
-from scoup.base import FileFormatError, MissingFileError
+from messages import refuses, warns
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -89,6 +90,29 @@ def test_all_ranks_of_the_latest_step_in_order(tmp_path):
     (folder / "ckpt_30_rank1.pt").unlink()
     with refuses(MissingFileError):  # which step 7 has
         read_gsplat_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "config", "third", "flat"), [
+    ("ckpt_9.pt", "model_type: 2dgs", None, True), ("ckpt_9_rank0.pt", "model_type: 2dgs-inria", None, True),
+    ("ckpt_9.pt", "model_type: 3dgs", -1.0, False), ("ckpt_9_rank0.pt", "", -3.0, True), ("ckpt_9.pt", "", 5.0, True),
+    ("ckpt_9.pt", "", None, False),
+])  # fmt: skip
+def test_the_third_scale_of_2dgs(
+    tmp_path: Path, name: str, config: str, third: float | None, flat: bool
+) -> None:
+    given = some_gaussians(60)
+    logs = given.scales.log()
+    if third is not None:
+        logs[:, 2] = third + (torch.rand(60) if third > 0 else 0)
+    save_checkpoint(given, tmp_path / "ckpts" / name, scales=logs)
+    if config:
+        (tmp_path / "cfg.yml").write_text(f"data_dir: data\n{config}\n")
+    with warns(ScoupWarning) if flat and not config else contextlib.nullcontext():
+        found = load_gaussians(tmp_path).scales
+    torch.testing.assert_close(found[:, :2], given.scales[:, :2])
+    torch.testing.assert_close(found[:, 2], torch.full((60,), 1e-6) if flat else logs[:, 2].exp())
+    save_checkpoint(given, tmp_path / "ckpts" / name, scales=logs[:, :2])
+    torch.testing.assert_close(load_gaussians(tmp_path).scales[:, 2], torch.full((60,), 1e-6))
 
 
 def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> None:

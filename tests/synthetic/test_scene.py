@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.models import WordTable
 from scoup.raster import project, render_channels
 from scoup.scene import LEVELS
-from scoup_lab.data.labels import match_frames, read_labels
+from scoup_lab.data.labels import match_frames, read_frame, read_labels
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene, write_demo_scene
 from scoup_lab.synthetic.art.things import Parts
 from scoup_lab.synthetic.masks import mask_polygons, piece_boxes
@@ -225,11 +226,14 @@ def painted(mask: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_polygons_paint_the_mask_they_came_from(seed: int):
+def test_polygons_paint_the_mask_they_came_from(tmp_path: Path, seed: int):
     rng = np.random.default_rng(seed)
     blobs = rng.random((13, 17)) < rng.uniform(0.2, 0.9)
     assert (painted(blobs) == blobs).all()
     large = np.kron(blobs, np.ones((3, 2), bool))
     assert (painted(large) == large).all()
     blobs[[0, -1]] = blobs[:, [0, -1]] = True  # now one piece is around the others
+    objects = [{"category": "a", "segmentation": corners} for corners, _ in mask_polygons(blobs)]
+    (tmp_path / "a.json").write_text(json.dumps({"info": {"width": 17, "height": 13}, "objects": objects}))
+    assert (read_frame(tmp_path / "a.json").masks["a"].numpy() == blobs).all()
     assert {box for _, box in mask_polygons(blobs)} == set(piece_boxes(blobs, 1))

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
-from io_samples import some_gaussians
+from io_samples import save_checkpoint, some_gaussians
 from messages import refuses
-from scoup.base import FileFormatError
+from scoup.base import FileFormatError, InputError
 from scoup.field import relevancy
-from scoup.io import load_gaussians, read_autoencoder, read_langsplat
+from scoup.io import load_gaussians, read_autoencoder, read_langsplat, save_gaussians
 from scoup.io.gaussian_features import read_features
 from scoup.query import LanguageField
 from scoup.uplift import foreign
@@ -137,6 +137,22 @@ def test_unknown_rows_have_no_code(monkeypatch: pytest.MonkeyPatch) -> None:
     for wrong, levels in ((torch.zeros(100, 8), None), (rows[:99], None), (rows, ("a", "b"))):
         with refuses():
             field_from_features(some_gaussians(100, 0), wrong, levels=levels)
+
+
+@pytest.mark.parametrize("name", ["a.ply", "ckpt_1_rank0.pt"])
+def test_features_of_dropped_rows_are_dropped(tmp_path: Path, name: str) -> None:
+    given, rows = some_gaussians(50, 0), clustered(50)
+    given.means[5, 0] = torch.nan
+    write = save_checkpoint if name.endswith(".pt") else save_gaussians
+    write(given, tmp_path / name)
+    with pytest.warns(match="dropped 1 of 50"):
+        found = load_gaussians(tmp_path / name)
+    left = torch.arange(50) != 5
+    expected = field_from_features(found, rows[left], n_atoms=12, k=2)
+    for features in (rows, rows.numpy(), rows[left]):
+        assert field_from_features(found, features, n_atoms=12, k=2).code_weights.equal(expected.code_weights)
+    with pytest.raises(InputError):
+        field_from_features(found.select(left[1:]), rows)
 
 
 def test_arrays_are_read_from_files(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from scoup.base.errors import (
     check_format_version,
     looked_up,
 )
+from scoup.base.foreign_files import foreign_kind
 from scoup.base.inputs import check_arguments, existing_file, refuse_pointer
 from scoup.base.json_node import JsonNode
 from scoup.base.lazy import lazy_names
@@ -79,6 +80,7 @@ __all__ = [
     "existing_file",
     "file_sha256",
     "flush_to_disk",
+    "foreign_kind",
     "geometry_fingerprint",
     "html",
     "lazy_names",

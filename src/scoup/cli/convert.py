@@ -63,6 +63,8 @@ class Convert:
     """Splat, folder or .scoup to write."""
     keep_axes: bool = False
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
+    activated: bool = False
+    """Read scales and opacities of a PLY as they are, not as logarithms and logits."""
     model: str | None = None
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
     regions: RegionOptions = RegionOptions()
@@ -98,7 +100,7 @@ class Convert:
         check_output(self.target, overwrite=self.common.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
             raise InputError(f"{self.target}: is the source; use another name")
-        gaussians = load_gaussians(self.source, self.keep_axes)
+        gaussians = load_gaussians(self.source, self.keep_axes, self.activated)
         save_gaussians(gaussians, self.target, self.common.overwrite, self.keep_axes)
         size = self.target.stat().st_size
         console.say(

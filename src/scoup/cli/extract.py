@@ -38,6 +38,10 @@ class PhotographOptions:
     """The trained splat by which photographs are chosen. Default: the one in SCENE."""
     images: Path | None = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
+    masks: Annotated[Literal["white", "black"] | None, arg()] = None
+    """Where masks of photographs (docs/own_scene.md) allow regions. Default: white; asked if that leaves little."""
+    no_masks: bool = False
+    """Ignore masks and transparency of photographs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +117,14 @@ class Extract:
     def make(self, console: Console, check: Callable[[int], None] = lambda dim: None) -> dict[str, Any]:
         """Extract and report; returns what the result says. ``check`` may refuse embeddings of so many dimensions."""
         from scoup.cli.views import is_splat
-        from scoup.extract import PhotographChoice, extract, find_photographs, mask_settings, open_pair
+        from scoup.extract import (
+            PhotographChoice,
+            extract,
+            find_photographs,
+            mask_settings,
+            open_pair,
+            report_masks,
+        )
         from scoup.io import ScenePaths, load_gaussians
         from scoup.models import open_concepts
 
@@ -125,7 +136,9 @@ class Extract:
         segmenter_name, preset = self._masks(console, self.common.device)
         settings = mask_settings(preset, points_per_side=self.masks.points_per_side)
         wanted = self.photographs
-        photographs = find_photographs(scene, wanted.images)
+        photographs = find_photographs(scene, wanted.images, False if wanted.no_masks else wanted.masks)
+        if masked := report_masks(photographs):
+            console.say(f"{masked}; --no-masks ignores them")
         part = Part() if self.part is None else Part.parse(self.part)
         out = ScenePaths(scene).features(self.out, to_make=True)
         overwrite, is_part = self.common.overwrite, self.part is not None

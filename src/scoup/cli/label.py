@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from scoup.query import Answer, GaussianLabels, LanguageField
     from scoup.scene import Camera
 
-Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
+Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "masks", "sheet"]
 USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 
 
@@ -58,7 +58,8 @@ class Label:
     ids: labels.ply, the splat with integer properties `label` and `thing`. colors: colored.ply, the splat in the
     colours of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. usd:
     labels.usdc, a prim with label and box per thing. clouds: a point cloud per word. maps: a PNG with palette for each
-    camera, and coco.json."""
+    camera, and coco.json. masks: masks/STEM.png for each camera, white where a word applies, as LichtFeld Studio and
+    Brush read them."""
     answer: AnswerOptions = AnswerOptions()
     directions: FrameOptions = FrameOptions()
     view: LabelViews = LabelViews()
@@ -97,7 +98,7 @@ class Label:
 
     def _cameras(self, field: LanguageField) -> list[Camera]:
         """Return the cameras named; by default all, or none if the field has none and no output needs them."""
-        wanted = set(self.outputs) & {"maps", "sheet"}
+        wanted = set(self.outputs) & {"maps", "masks", "sheet"}
         if not wanted or (
             self.outputs == USUAL and not self.view.camera and self.view.scene is None and not field.cameras
         ):

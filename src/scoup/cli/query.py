@@ -65,10 +65,11 @@ class Query:
     """What to look for, for example "kettle" "mug left of the laptop" "what is on the table" (docs/things.md)."""
     out: Path | None = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    pictures: Literal["sheet", "all", "none"] = "sheet"
+    pictures: Literal["sheet", "all", "masks", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
-    single files. none: query.json only."""
+    single files. masks: masks/STEM.png of each view instead, white where a text is found, as LichtFeld Studio and Brush
+    read them. none: query.json only."""
     npz: bool = False
     """Write relevancies and masks of each view as arrays, VIEW/relevancy.npz."""
     coco: bool = False

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base import ScoupError, file_sha256, worked_ahead
+from scoup.base import InputError, ScoupError, counted, file_sha256, spread, worked_ahead
 from scoup.io import DYNAMIC_MASK, ScenePaths, open_image, rgb_image
 
+Keeps = Literal["white", "black", "all"]
+_FOLDERS = ("masks", "mask")
+_MOST_HIDDEN = 0.5  # of the pixels, by masks that may be the other way round
+_LOSSY = (".jpg", ".jpeg")
+_MOST_READ = 24  # masks that tell the share of pixels
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # mirrored left to right after the turns
@@ -29,6 +36,10 @@ class Photograph:
     """Of the file."""
     mask: Path | None = None
     """Of an image that is 0 where there are no regions; of instant-ngp's, where there are."""
+    masks_keep: Keeps = "white"
+    """Where there are regions. all: neither mask nor transparency counts."""
+    guessed: bool = False
+    """The mask was found by its name, and nobody said what it keeps."""
 
     def digest(self) -> str:
         """Return the SHA-256 of the file; "" if it cannot be read, which is reported when its turn comes."""
@@ -54,22 +65,82 @@ class Pixels:
         return np.ascontiguousarray(np.rot90(unmirrored, -self.turns))
 
 
-def find_photographs(scene: str | Path, images: str | Path | None = None) -> list[Photograph]:
-    """Return the photographs of a scene, in order of their names.
+def find_photographs(
+    scene: str | Path,
+    images: str | Path | None = None,
+    masks: Literal["white", "black", False] | None = None,
+) -> list[Photograph]:
+    """Return the photographs of a scene, in order of their names, with their masks: those that cameras name, else files
+    as COLMAP (masks/x.jpg.png), LichtFeld Studio and Brush (masks/x.png), RealityScan (x.jpg.mask.png) and 3DGRUT
+    (x_mask.png) name them.
 
     Args:
         scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
             with ``images``, ``images_2`` and so on, or of photographs.
         images: the folder of the photographs, where it is another.
+        masks: where they allow regions; None: where white, unless that leaves little (``report_masks``). False: ignore
+            them, and transparency.
 
     Raises:
         MissingFileError: there is no scene, or no photograph.
         FileFormatError: a file of cameras is damaged, or photographs have another shape than their cameras.
     """
-    return [Photograph(*item) for item in ScenePaths(Path(scene)).photographs(images)]
+    found = []
+    for name, path, named in ScenePaths(Path(scene)).photographs(images):
+        mask = None if masks is False else named or _mask_of(name, path)
+        guessed = (
+            mask is not None and named is None and masks is None and not mask.name.startswith(DYNAMIC_MASK)
+        )
+        found.append(Photograph(name, path, mask, "all" if masks is False else masks or "white", guessed))
+    return found
 
 
-def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:
+def _mask_of(name: str, image: Path) -> Path | None:
+    """Return the mask of a photograph, beside it or in a folder of masks above it."""
+    stems = {file: os.path.splitext(file)[0] for file in (image.name, PurePosixPath(name).name)}
+    forms = [form for file, stem in stems.items() for form in (
+        f"{file}.png", f"{file}.mask.png", f"{stem}.mask.png", f"{stem}_mask.png")]  # fmt: skip
+    files = [
+        image.with_name(form) for form in (*forms, *(f"{DYNAMIC_MASK}{stem}.png" for stem in stems.values()))
+    ]
+    forms += [f"{stem}{ending}" for stem in stems.values() for ending in (".png", *_LOSSY)]
+    for home in image.parents[:3]:
+        within = image.parent.relative_to(home)
+        for folder in [
+            home / usual / part for usual in _FOLDERS for part in (within, Path(*within.parts[1:]))
+        ]:
+            files += [folder / form for form in forms] if folder.is_dir() else []
+    return next((file for file in files if file != image and file.is_file()), None)
+
+
+def report_masks(photographs: Sequence[Photograph]) -> str:
+    """Return how much of the pixels masks and transparency hide, "" for nothing.
+
+    InputError where masks that were found by their names hide most: they may be the other way round.
+    """
+    masked = [item for item in photographs if item.mask]
+    shares = []
+    for item in spread(masked or list(photographs), _MOST_READ):
+        with suppress(ScoupError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            hidden = read_photograph(item.path, 270, item.mask, item.masks_keep).masked
+            shares.append(0.0 if hidden is None else float(hidden.mean()))
+    share = sum(shares) / max(1, len(shares))
+    what = counted(len(masked), "mask") if masked else "transparent photographs"
+    if share > _MOST_HIDDEN and any(item.guessed for item in masked):
+        raise InputError(
+            f"{masked[0].mask}: {what} would hide {share:.0%} of the pixels, where black; if so, pass `masks='white'`, "
+            "or `masks='black'` if they mark what to hide in white; `masks=False` ignores them"
+        )
+    return f"{what}: {share:.0%} of the pixels get no regions" if share else ""
+
+
+def read_photograph(
+    path: Path,
+    max_height: int | None = 1080,
+    mask: Path | None = None,
+    masks_keep: Keeps = "white",
+) -> Pixels:
     """Decode a photograph and its mask: upright by the photograph's EXIF orientation, RGB, 8 bits.
 
     FileFormatError where one cannot be read.
@@ -86,6 +157,7 @@ def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None
             size = (max(1, int(width / (height / max_height))), max_height)
             rgb = rgb.resize(size, Image.Resampling.BILINEAR)
         array = np.asarray(rgb)
+        seen = _opaque(stored, rgb.size) if masks_keep != "all" else None
     mirrored = orientation in _MIRRORED
     turns = _MIRRORED.get(orientation, 0) if mirrored else _TURNS.get(orientation, 0)
 
@@ -93,13 +165,26 @@ def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None
         turned = np.rot90(stored, turns)
         return np.array(turned[:, ::-1] if mirrored else turned, order="C")
 
-    masked = None
-    if mask is not None:
+    masked = None if seen is None else upright(~seen)
+    if mask is not None and masks_keep != "all":
         with open_image(mask) as stored:
             brightest = Image.fromarray(np.asarray(rgb_image(stored)).max(2))
-        dark = np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) == 0
-        masked = upright(dark != mask.name.startswith(DYNAMIC_MASK))
+        least = 128 if mask.suffix.lower() in _LOSSY else 1
+        dark = np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) < least
+        hidden = upright(dark != (mask.name.startswith(DYNAMIC_MASK) != (masks_keep == "black")))
+        masked = hidden if masked is None else masked | hidden
     return Pixels(upright(array), turns, mirrored, file_sha256(path), masked)
+
+
+def _opaque(image: Any, size: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Return [H, W] where an image of Pillow is not transparent; None if that is everywhere or nowhere."""
+    from PIL import Image
+
+    if not (image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info):
+        return None
+    alpha = image.convert("RGBA").getchannel("A").resize(size, Image.Resampling.NEAREST)
+    seen = np.asarray(alpha) > 0
+    return seen if seen.any() and not seen.all() else None
 
 
 def read_ahead(
@@ -114,7 +199,7 @@ def read_ahead(
         warnings.filterwarnings("ignore", module=r"PIL\.")
 
         def read(item: Photograph) -> Pixels:
-            return read_photograph(item.path, max_height, item.mask)
+            return read_photograph(item.path, max_height, item.mask, item.masks_keep)
 
         for item, future in worked_ahead(read, photographs, AHEAD):
             try:

@@ -75,7 +75,7 @@ def attach_images(
             stacklevel=3,
         )
     if missing and warn:
-        searched = _searched(folder, missing)
+        searched = _searched(folder, roots, missing)
         message = f"skipped {len(missing)} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if not attached:
             message = f"{share_of(0, len(missing), 'image')} was found ({searched}); using the cameras alone"
@@ -102,7 +102,7 @@ def image_files(
             if misfit := _misfit(camera, image_size(path)):
                 misfits[path] = misfit
     _refuse(misfits)
-    return files, _searched(folder, missing) if missing else ""
+    return files, _searched(folder, roots, missing) if missing else ""
 
 
 def folder_photographs(scene: Path, images: str | Path | None = None) -> dict[str, Path]:
@@ -115,25 +115,29 @@ def folder_photographs(scene: Path, images: str | Path | None = None) -> dict[st
         if photographs := ImageFolder(folder).photographs():
             return photographs
     remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
-    raise MissingFileError(folders[0], "contains no photographs", remedy)
+    raise MissingFileError(folders[0], f"has no photographs ({ImageFolder(folders[0]).contents()})", remedy)
 
 
-def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
+def _searched(folder: ImageFolder | None, roots: tuple[Path, ...], missing: list[str]) -> str:
+    """Return where images were looked for, and what is there."""
     if folder is None:
-        return "there is no folder images"
-    return f"looked for {folder.folder / missing[0]}{' and others' if len(missing) > 1 else ''}"
+        return f"there is no folder {roots[0] / 'images'}"
+    others = " and others" if len(missing) > 1 else ""
+    return f"looked for {folder.folder / missing[0]}{others}; {folder.contents()}"
 
 
 def _choose_folder(
     roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
 ) -> tuple[ImageFolder | None, int]:
-    """Return the images folder, and the factor by which its images are reduced."""
+    """Return the images folder, and the factor by which its images are reduced; one without images if there is none
+    with some."""
     if images is not None:
         for candidate in (Path(images), *(root / images for root in roots)):
             if candidate.is_dir():
                 return ImageFolder(candidate), 1
         raise MissingFileError(Path(images), "there is no such folder of images", "check the path")
     order = [downscale, *FACTORS] if downscale else list(FACTORS)
+    empty = None
     for root in roots:
         for factor in order:
             folder = root / ("images" if factor == 1 else f"images_{factor}")
@@ -141,7 +145,8 @@ def _choose_folder(
                 listed = ImageFolder(folder)
                 if len(listed):
                     return listed, factor
-    return None, 1
+                empty = empty or (listed, 1)
+    return empty or (None, 1)
 
 
 def _find(camera: Camera, folder: ImageFolder | None, factor: int, usual: bool) -> tuple[Path | None, int]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scoup.base import Entry, FileFormatError, MissingFileError, Registry
-from scoup.io.cameras.colmap import is_model, read_colmap
+from scoup.io.cameras.colmap import count_images, is_model, read_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
@@ -97,10 +97,12 @@ def find_cameras(path: str | Path) -> CameraSource:
 
 def _source_of_data(path: Path) -> CameraSource:
     """Return the cameras of the data of a training, which may lie in the folder of the training itself."""
-    return _source_of_file(path) if path.is_file() else _source_of_folder(path)
+    return _source_of_file(path) if path.is_file() else _source_of_folder(path, trained=True)
 
 
-def _source_of_folder(path: Path) -> CameraSource:
+def _source_of_folder(path: Path, trained: bool = False) -> CameraSource:
+    """Return the cameras of a scene: of several models of COLMAP the one with most images, or the first where the data
+    are those of a training, which takes it."""
     candidates = [
         *([path / "cameras.json"] if (path / "point_cloud").is_dir() else []),
         path / "sparse",
@@ -113,6 +115,9 @@ def _source_of_folder(path: Path) -> CameraSource:
         if candidate.is_file():
             return _source_of_file(candidate)
         models = _models(candidate)
+        if len(models) > 1 and not trained:
+            images = {model: count_images(model) for model in models}
+            models.sort(key=lambda model: -images[model])
         if models:
             return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
     for candidate in candidates:
@@ -168,10 +173,13 @@ def scene_folder(path: str | Path) -> Path:
     if not _models(folder):
         return folder
     scene = folder.absolute()
-    if scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE):
-        scene = scene.parent
-    for names in (_SPARSE, ("colmap",)):
-        if scene.name in names:
+    numbered = (
+        (scene.name,) if scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE) else ()
+    )
+    for names in (numbered, _SPARSE, ("colmap",)):
+        if scene.name in names and not any(
+            map(Path.is_dir, scene.glob("images*"))
+        ):  # a scene may have such a name, too
             scene = scene.parent
     # Keep a relative path relative: it is shorter in messages.
     return scene if folder.is_absolute() else Path(os.path.relpath(scene))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, foreign_kind
 from scoup.io.camera_sources import camera_format, find_cameras
 from scoup.io.images import image_fault
 from scoup.io.reading import read_json
@@ -56,7 +56,8 @@ def _is_cameras(path: Path) -> bool:
     if isinstance(content, dict) and any(isinstance(value, list) for value in content.values()):
         return False
     problem = "is JSON of another kind than cameras (with frames) or a word table (lists of numbers by names)"
-    raise FileFormatError(path, problem, "name the file of the splat, cameras or words itself")
+    other = problem, "name the file of the splat, cameras or words itself"
+    raise FileFormatError(path, *(foreign_kind(content if isinstance(content, dict) else ()) or other))
 
 
 def _describe_cameras_of(path: Path) -> dict[str, Any]:
@@ -185,6 +186,8 @@ def _describe_folder(path: Path) -> Described:
     broken = bool(no_cameras.problem) and not no_cameras.problem.startswith("contains no cameras")
     if broken and record:  # half of a model, or data of a training that are gone
         warnings.warn(str(no_cameras), ScoupWarning, stacklevel=2)
+    lacks = {"cameras": "cameras", "splat": "trained splat", "regions": "region features"}
+    not_found = [what for key, what in lacks.items() if key not in record]
     if not record:
         if broken:
             raise no_cameras
@@ -193,4 +196,8 @@ def _describe_folder(path: Path) -> Described:
             f"contains nothing that SCOUP reads: it has no region features, {no_splat}, and {no_cameras.problem}",
             no_cameras.remedy,
         )
+    if "trained splat" in not_found:
+        not_found[not_found.index("trained splat")] += f" ({no_splat})"
+    if not_found and "kind" not in record:  # of a scene
+        record["not_found"] = not_found
     return Described({"kind": "scene", **record}, splat, gaussians, cameras)

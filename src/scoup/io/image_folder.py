@@ -7,13 +7,21 @@ import posixpath
 import re
 import unicodedata
 import warnings
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from scoup.base import ScoupWarning, counted, listed
 
-EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+EXTENSIONS = (
+    ".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".jfif", ".jpe", ".gif", ".ppm", ".pgm", ".pnm",
+)  # fmt: skip
+UNREAD = (
+    ".heic", ".heif", ".hif", ".avif", ".jxl", ".jp2", ".j2k", ".jpx", ".jpf", ".exr", ".dng", ".cr2", ".cr3", ".nef",
+    ".arw", ".raf", ".orf", ".rw2",
+)  # fmt: skip
+"""Endings of photographs that are only read after conversion."""
+_MASK = re.compile(r"[._-]mask$", re.I)
 DYNAMIC_MASK = "dynamic_mask_"
 """Begins the names of masks of instant-ngp, beside their photographs, which are 0 where these count."""
 
@@ -35,6 +43,7 @@ class ImageFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._exact: dict[str, Path] = {}
+        self._endings: Counter[str] = Counter()  # of all files
         # By sub-folder, and name without its ending, or to its first dot.
         self._stems: dict[tuple[str, str], list[Path]] = defaultdict(list)
         self._starts: dict[tuple[str, str], list[Path]] = defaultdict(list)
@@ -44,13 +53,16 @@ class ImageFolder:
             for listed_name in sorted(files):
                 file = _composed(listed_name)
                 stem, ending = _split(file)
+                self._endings[os.path.splitext(file)[1].lower() or "without ending"] += 1
                 if not ending:
                     continue
                 path = Path(root) / listed_name
                 self._exact[posixpath.join(within, file)] = path
                 key = within.casefold()
                 self._stems[key, stem.casefold()].append(path)
-                if not _split(stem)[1]:  # x.jpg.png is most often the mask of x.jpg
+                if not _split(stem)[1] and not _MASK.search(
+                    stem
+                ):  # x.jpg.png is most often the mask of x.jpg
                     self._starts[key, file.split(".", 1)[0].casefold()].append(path)
         self._folders = sorted({within for within, _ in self._stems})
         # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
@@ -65,20 +77,30 @@ class ImageFolder:
     def __len__(self) -> int:
         return len(self._exact)
 
+    def contents(self) -> str:
+        """Return the numbers of its files by their endings, in words, with the command that converts photographs which
+        are not read."""
+        several = self._endings.most_common(5)
+        found = ", ".join(f"{count} {ending}" for ending, count in several) or "no files"
+        unread = [ending for ending in self._endings if ending in UNREAD]
+        how = f"; convert them: {conversion(self.folder / f'*{unread[0]}')}" if unread else ""
+        return f"{self.folder} contains {found}{how}"
+
     def photographs(self) -> dict[str, Path]:
         """Return all images by their names, in order, but for hidden files, masks, depth maps and the like."""
         return {
             name: self._exact[name]
             for name in sorted(self._exact)
             if not (posixpath.basename(name).startswith((".", DYNAMIC_MASK)) or _split(_split(name)[0])[1])
+            and not _MASK.search(_split(name)[0])
             and not _ASIDE.search(posixpath.dirname(name))
         }
 
     def find(self, name: str) -> Path | None:
         """Return the image of that name: the file of that path.
 
-        Its ending may be another if the name has none, or no image of the sub-folder has both. A name without a folder
-        may be that of a single file in a sub-folder, unless images lie outside of these.
+        Its ending may be another if the name has none or one of ``UNREAD``, or no image of the sub-folder has both. A
+        name without a folder may be that of a single file in a sub-folder, unless images lie outside of these.
         """
         name = _composed(name)
         for candidate in (*self._places(name), *self._places(name.replace("\\", "/"))):
@@ -104,7 +126,10 @@ class ImageFolder:
                 path for path in paths if (within, ending, path.suffix.lower()) not in self._pairs
             ]
         elif not paths:
-            paths = self._starts.get((within, stem), [])
+            start, end = os.path.splitext(stem)
+            paths = (self._stems if end in UNREAD else self._starts).get(
+                (within, start if end in UNREAD else stem), []
+            )
         return paths[0] if len(paths) == 1 else None
 
     def _places(self, name: str) -> Iterator[str]:
@@ -117,6 +142,11 @@ class ImageFolder:
         for count in range(1, len(parts)):
             if elsewhere or folders[-count:] == parts[:count]:
                 yield "/".join(parts[count:])
+
+
+def conversion(files: Path) -> str:
+    """Return the command that writes photographs as JPEG, found by their stems."""
+    return f"magick mogrify -format jpg {files}"
 
 
 def _composed(name: str) -> str:
@@ -160,9 +190,13 @@ def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
 
 
 def find_beside(folder: Path, relative: str) -> Path | None:
-    """Return the file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside."""
+    """Return the file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside; of
+    one that is not read its conversion, if there is one."""
     if is_outside(folder, relative):
         return None
+    stem, ending = os.path.splitext(relative)
+    if ending.lower() in UNREAD and (converted := find_beside(folder, stem)) is not None:
+        return converted
     added = () if _split(relative)[1] else (*EXTENSIONS, *(item.upper() for item in EXTENSIONS))
     for form in dict.fromkeys([relative, _composed(relative), unicodedata.normalize("NFD", relative)]):
         for end in ("", *added):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,12 +16,19 @@ from torch import Tensor
 
 from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
+from scoup.io.image_folder import conversion
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene import Camera
 
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs
 ANY_PIXELS = 1 << 25  # that a file of any size may claim
 PIXELS_A_BYTE = 1100  # of larger images; no photograph comes near, and deflate shrinks bytes by 1032 at most
+_FOREIGN = {
+    re.compile(rb"....ftypavi[fs]|....ftyp.{8,60}avif", re.S): "AVIF", re.compile(rb"....ftypcrx ", re.S): "CR3",
+    re.compile(rb"....ftyp(hei|hev|mif|msf)", re.S): "HEIC", re.compile(rb"\xff\x0a|....JXL ", re.S): "JPEG XL",
+    re.compile(rb"\xff\x4f\xff\x51|....jP  ", re.S): "JPEG 2000", re.compile(rb"v/1\x01"): "OpenEXR",
+}  # fmt: skip
+"""How photographs begin that are not read."""
 _END_OF_PNG = b"\0\0\0\0IEND\xaeB`\x82"
 _END_OF_JPEG = b"\xff\xd9"
 
@@ -44,9 +52,13 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
     except Exception as error:  # damaged images raise nearly everything inside Pillow
         if isinstance(error, OSError) and error.errno is not None:
             raise FileFormatError.unreadable(path, error) from error
-        raise FileFormatError(
-            path, "is not an image that can be read", "copy it again, or remove it"
-        ) from error
+        problem, remedy = "is not an image that can be read", "copy it again, or remove it"
+        with open(path, "rb") as stream:
+            start = stream.read(64)
+        if kind := next((kind for beginning, kind in _FOREIGN.items() if beginning.match(start)), ""):
+            problem = f"is {kind}, which is not read"
+            remedy = f"convert it and others like it: {conversion(path.with_name(f'*{path.suffix}'))}"
+        raise FileFormatError(path, problem, remedy) from error
     if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
         raise FileFormatError(path, f"claims {width} x {height} pixels", "the file is damaged; copy it again")
     return width, height

@@ -13,25 +13,29 @@ import numpy as np
 from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
+from scoup.io.cameras.colmap import count_images
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
 from scoup.io.splats.formats import splat_source, written_format
+from scoup.io.splats.ply import FORMAT as PLY
+from scoup.io.splats.ply import read_ply
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Cameras, Gaussians
 
 _COARSE = 0.1  # step of float32 as a share of the median scale, beyond which positions are wrong
 
 
-def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
+def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = False) -> Gaussians:
     """Load a trained splat, on the CPU.
 
     Args:
         path: a file of any splat format that is read (docs/formats.md); the output folder of a training by nerfstudio
             (splatfacto), by gsplat or by Inria's code (the last step is taken); or a folder with one splat.
         keep_axes: do not turn formats that name their axes, such as .spz and glTF, to those of 3DGS.
+        activated: of a PLY whose exporter wrote scales and opacities as they are, not as logarithms and logits.
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -49,7 +53,9 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     check_arguments("load_gaussians", path=(path, Path))
     source = splat_source(path)
     assert source.kind.read is not None
-    gaussians = source.kind.read(source.path)
+    if activated and source.kind is not PLY:
+        raise InputError(f"{source.path}: `activated=True` is for PLY files")
+    gaussians = read_ply(source.path, True) if activated else source.kind.read(source.path)
     if not len(gaussians):
         raise FileFormatError(
             source.path, "contains no Gaussians with finite values", "export the splat again"
@@ -169,10 +175,10 @@ def _posed_cameras(
     """Return the cameras of a scene in the frame of its splat."""
     source = find_cameras(path)
     if source.others:
-        others = ", ".join(str(other) for other in source.others)
+        others = ", ".join(f"{other} ({count_images(other):,})" for other in source.others)
         warnings.warn(
-            f"{source.path}: used, and {counted(len(source.others), 'other COLMAP model')} not; to use another, pass "
-            f"its folder ({others})",
+            f"{source.path}: used, with {counted(count_images(source.path), 'image')}, and not {others}; to use "
+            "another COLMAP model, pass its folder",
             ScoupWarning,
             stacklevel=2,
         )

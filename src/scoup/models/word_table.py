@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base import FileFormatError, InputError, existing_file, write_npz
+from scoup.base import FileFormatError, InputError, existing_file, foreign_kind, write_npz
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
 MODEL_KEY = "model"  # array, JSON entry or metadata entry that may name the embedding model; never a word
@@ -29,6 +29,7 @@ _FORMS = (
 )
 _MAX_BYTES = 1 << 31  # a word table is small; a damaged size must not fill the memory
 _RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is not a table
+_USE = "use a table that scoup words wrote"
 _REMEDY = "the file is damaged or of another kind; write it again with scoup words"
 
 
@@ -154,7 +155,8 @@ def _read_json(path: Path) -> WordTable:
             isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
         )
         if not numbers:
-            raise FileFormatError(path, f"the entry {name[:40]!r} is not a list of numbers", _REMEDY)
+            problem = f"is not a word table: its entry {name[:40]!r} is not a list of numbers"
+            raise FileFormatError(path, *(foreign_kind(content) or (problem, _USE)))
         rows[name] = np.array(values, dtype=np.float64)
     return WordTable(path, list(rows), _stacked(path, rows), model)
 
@@ -180,7 +182,8 @@ def _stacked(path: Path, rows: dict[str, np.ndarray]) -> np.ndarray:
         raise FileFormatError(path, "contains no names", _REMEDY)
     shapes = {row.shape for row in rows.values()}
     if len(shapes) > 1 or len(next(iter(shapes))) != 1:
-        raise FileFormatError(path, "its entries are not vectors of one length", _REMEDY)
+        problem = "is not a word table: its entries are not vectors of one length"
+        raise FileFormatError(path, *(foreign_kind(rows) or (problem, _USE)))
     return np.stack(list(rows.values()))
 
 

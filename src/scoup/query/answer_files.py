@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 import numpy as np
+import torch
 from PIL import Image
 from torch import Tensor
 
@@ -55,7 +57,7 @@ class AnswerFiles:
         self,
         texts: Sequence[str],
         cameras: Sequence[Camera],
-        pictures: Literal["sheet", "all", "none"] = "sheet",
+        pictures: Literal["sheet", "all", "masks", "none"] = "sheet",
         npz: bool = False,
         coco: bool = False,
         video: Motion | Literal["none"] = "none",
@@ -66,7 +68,10 @@ class AnswerFiles:
         kinds = PICTURES if pictures == "all" else ()
         self._singles = [{kind: f"{name}_{kind}.png" for kind in kinds} for name in unique_slugs(texts)]
         self._npz = npz
-        self._sheets = None if pictures == "none" else AnswerSheets(texts, len(cameras))
+        self._masks = (
+            dict(zip(self._folders, mask_files(cameras), strict=True)) if pictures == "masks" else {}
+        )
+        self._sheets = None if pictures in ("masks", "none") else AnswerSheets(texts, len(cameras))
         if coco and len(set(texts)) < len(texts):
             raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
         self._coco = CocoAnnotations(tuple(texts)) if coco else None
@@ -77,6 +82,7 @@ class AnswerFiles:
         self.names = [
             *self.sheet_names,
             *[COCO] * coco,
+            *self._masks.values(),
             *(f"{folder}/{name}" for folder in self._folders.values() for name in singles),
             *self._videos,
         ]
@@ -108,6 +114,10 @@ class AnswerFiles:
                 drawn = answer.pictures(rgb) if names else {}
                 for kind, name in names.items():
                     save_png(drawn[kind], folder / name)
+        if self._masks:
+            save_png(
+                torch.stack([answer.mask for answer in answers]).any(0), hidden / self._masks[camera.name]
+            )
         if self._npz:
             folder.mkdir(parents=True, exist_ok=True)
             write_npz(folder / NPZ, answer_arrays(answers), compressed=True)
@@ -136,6 +146,16 @@ class AnswerFiles:
                 save_png(sheet, hidden / name)
         if self._coco is not None:
             self._coco.write(hidden / COCO)
+
+
+def mask_files(cameras: Iterable[Camera]) -> list[str]:
+    """Return names of binary masks as LichtFeld Studio and Brush look for them: masks/STEM.png, of the photographs."""
+    stems = [os.path.splitext(camera.name)[0] for camera in cameras]
+    plain = all(
+        PurePosixPath(stem).parts and not {"..", "/"} & {*PurePosixPath(stem).parts} for stem in stems
+    )
+    names = stems if plain and len({*stems}) == len(stems) else unique_slugs(stems)
+    return [f"masks/{name}.png" for name in names]
 
 
 def answer_arrays(answers: Sequence[ViewAnswer]) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ from scoup.base import InputError, Progress, atomic_file, no_progress, spread, u
 from scoup.field import Field
 from scoup.io import PlyTable, UsdThing, save_png, write_usd
 from scoup.pictures import Picture, label_colors, region_overlay
+from scoup.query.answer_files import mask_files
 from scoup.query.boxes import PointSets
 from scoup.query.coco import CocoAnnotations
 from scoup.query.edits import SplatTable, edited
@@ -25,7 +26,7 @@ from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, labe
 from scoup.query.votes import true_rows
 from scoup.scene import SH_C0, Camera, Gaussians, estimate_up
 
-LabelOutput = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
+LabelOutput = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "masks", "sheet"]
 SIDECAR = ("labels.npy", "labels.json")
 IDS, COLORS, GLB, USD = "labels.ply", "colored.ply", "labels.glb", "labels.usdc"
 CLOUDS, MAPS, COCO, SHEET = "clouds", "maps", "maps/coco.json", "labels.png"
@@ -47,6 +48,7 @@ class LabelFiles:
         self._clouds = {
             name: f"{CLOUDS}/{slug}.ply" for name, slug in zip(names, unique_slugs(names), strict=True)
         }
+        self._masks = mask_files(cameras)
         self._maps = [f"{MAPS}/{slug}.png" for slug in unique_slugs(camera.stem for camera in cameras)]
         self._outputs, self._cameras = outputs, cameras
         of = {
@@ -57,6 +59,7 @@ class LabelFiles:
             "usd": [USD],
             "clouds": [*self._clouds.values()],
             "maps": [COCO, *self._maps],
+            "masks": self._masks,
             "sheet": [SHEET],
         }
         # Of all files, within their folder.
@@ -105,9 +108,10 @@ class LabelFiles:
     def _write_views(
         self, field: Field, labels: GaussianLabels, folder: Path, progress: Progress
     ) -> list[Camera]:
+        binary = "masks" in self._outputs
         maps, colors, cameras = "maps" in self._outputs, label_colors(len(labels.names)), self._cameras
         on_sheet = set(spread(range(len(cameras)), MOST_VIEWS)) if "sheet" in self._outputs else set()
-        wanted = [number for number in range(len(cameras)) if maps or number in on_sheet]
+        wanted = [number for number in range(len(cameras)) if maps or binary or number in on_sheet]
         coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
         for done, number in enumerate(wanted, start=1):
             camera = cameras[number]
@@ -119,6 +123,8 @@ class LabelFiles:
                 save_label_png(words, colors, folder / self._maps[number])
                 masks = [(words == word).numpy() for word in range(len(labels.names))]
                 coco.add(camera.name, (camera.width, camera.height), masks)
+            if binary:
+                save_png(words.cpu() >= 0, folder / self._masks[number])
             if number in on_sheet:
                 sheet[camera.name] = region_overlay(words, view.renders.colors().cpu())
             progress("label maps", done, len(wanted))

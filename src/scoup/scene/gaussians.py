@@ -46,6 +46,8 @@ class Gaussians:
     """[N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5)."""
     antialiased: bool = field(default=False, kw_only=True)
     """Trained to be rasterised with compensated opacities (Mip-Splatting; ``rasterize_mode`` of gsplat)."""
+    source_rows: Tensor | None = field(default=None, kw_only=True)
+    """[R] bool: the rows of the file that these are, where a reader dropped some; None for all."""
 
     def __post_init__(self) -> None:
         for name, value in self.tensors().items():
@@ -98,7 +100,8 @@ class Gaussians:
             InputError: as ``chosen_rows``.
         """
         chosen = chosen_rows(chosen, len(self)).to(self.device)
-        return replace(self, **{name: tensor[chosen] for name, tensor in self.tensors().items()})
+        chosen_tensors = {name: tensor[chosen] for name, tensor in self.tensors().items()}
+        return replace(self, **chosen_tensors, source_rows=None)
 
     def __repr__(self) -> str:
         return f"Gaussians({len(self):,}, SH degree {self.sh_degree}, {self.device})"

@@ -67,13 +67,17 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     decoded codes and features.
 
     Args:
-        features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one.
+        features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one. Those
+            of rows that the splat's reader dropped are dropped, too.
         embedding_model, words: as for ``build``.
         levels: S names; by default "m", or s, m, l.
     """
     rows = features if isinstance(features, (np.ndarray, Tensor)) else np.asarray(features)
     if rows.ndim == 2:
         rows = rows[:, None]
+    kept = gaussians.source_rows
+    if kept is not None and len(kept) == len(rows):
+        rows = rows[kept.numpy() if isinstance(rows, np.ndarray) else kept]
     if rows.ndim != 3 or len(rows) != len(gaussians):
         raise InputError(
             f"features {list(rows.shape)} are not one row for each of {len(gaussians):,} Gaussians; use those of this "

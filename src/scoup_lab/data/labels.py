@@ -25,6 +25,7 @@ from scoup.base import (
 from scoup.io import MAX_IMAGE_SIDE, read_json
 from scoup.scene import Camera, Cameras, resize_labels
 
+_SHAPE = 0.01  # share by which the shapes of labels and views may differ, by rounding
 _FAR = 1e6  # coordinates beyond this are damage, and more than the polygon painter can take
 _MOST_PAINTED, _MOST_KEPT = 1 << 33, 1 << 28  # pixels, of all objects and of all categories
 _REMEDY = "the file is damaged or not a LERF-OVS label file"
@@ -89,6 +90,10 @@ def read_frame(path: str | Path) -> LabelledFrame:
         painter.polygon(corners, fill=1)
         painter.line([*corners, corners[0]], fill=1)  # an outline of the fill's colour is not drawn
         boxes.setdefault(label, []).append(box)
+    for label, canvas in canvases.items():
+        if canvas.getbbox() is None:
+            problem = f"the truth of {label!r} has no pixel in its {width} x {height} image"
+            raise FileFormatError(path, problem, _REMEDY)
     return LabelledFrame(
         path.stem,
         width,
@@ -102,7 +107,7 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
     """Return frames with their cameras, found by name (never by number: a view that failed to register shifts
     those).
 
-    Frames without a camera are skipped with a ScoupWarning.
+    Frames without a camera are skipped with a ScoupWarning; those of another shape than their view are refused.
     """
     matched: list[tuple[LabelledFrame, Camera]] = []
     lost: list[str] = []
@@ -111,6 +116,13 @@ def match_frames(frames: Iterable[LabelledFrame], cameras: Cameras) -> list[tupl
             matched.append((frame, cameras[frame.name]))
         except UnknownNameError:
             lost.append(frame.name)
+    for frame, camera in matched:
+        expected = frame.height * camera.width / frame.width
+        if abs(camera.height - expected) > max(_SHAPE * expected, 1.5 * max(1.0, camera.width / frame.width)):
+            raise InputError(
+                f"the labels of {frame.name!r} are {frame.width} x {frame.height}, another shape than its view "
+                f"({camera.width} x {camera.height}); use labels and cameras of the same photographs"
+            )
     if not matched:
         raise InputError(
             f"none of the labelled frames ({listed(lost) or 'there are none'}) is among the "

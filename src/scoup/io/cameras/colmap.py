@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
@@ -30,6 +31,14 @@ def _ending(folder: Path) -> str | None:
     return next(
         (end for end in _PARSERS if all((folder / f"{name}{end}").is_file() for name in _FILES)), None
     )
+
+
+def count_images(folder: Path) -> int:
+    """Return the number of images of a model; 0 if its file is damaged."""
+    end = _ending(folder)
+    with suppress(FileFormatError):
+        return len(_PARSERS[end].read_shots(folder / f"images{end}")) if end else 0
+    return 0
 
 
 def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from scoup.base import FileFormatError, existing_file
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Points, Shot
 from scoup.io.reading import read_text
 
+_NUMBER = re.compile(r"-?\d{1,18}(\.0*)?")
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 
 
@@ -23,7 +25,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
             continue
         words = line.split()
         try:
-            identifier, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+            identifier, model, width, height = _whole(words[0]), words[1], _whole(words[2]), _whole(words[3])
             parameters = tuple(float(word) for word in words[4:])
         except (ValueError, IndexError) as error:
             raise _damaged(path, number) from error
@@ -39,7 +41,8 @@ def read_shots(path: Path) -> list[Shot]:
     for number, words in _image_lines(path):
         try:
             values = [float(word) for word in words[1:8]]
-            shots.append(Shot(int(words[0]), words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
+            number_of_image, lens = _whole(words[0]), _whole(words[8])
+            shots.append(Shot(number_of_image, words[9], lens, tuple(values[:4]), tuple(values[4:])))
         except (ValueError, IndexError) as error:
             raise _damaged(path, number) from error
     return shots
@@ -57,8 +60,8 @@ def read_points(path: Path) -> Points:
         words = line.split()
         try:
             positions.append([float(word) for word in words[1:4]])
-            colors.append([int(word) for word in words[4:7]])
-            images.extend(int(word) for word in words[8::2])
+            colors.append([_whole(word) for word in words[4:7]])
+            images.extend(_whole(word) for word in words[8::2])
         except (ValueError, OverflowError) as error:
             raise _damaged(path, number) from error
         if len(colors[-1]) != 3 or not all(0 <= value <= 255 for value in colors[-1]):
@@ -72,12 +75,19 @@ def read_points(path: Path) -> Points:
     )
 
 
+def _whole(word: str) -> int:
+    """Return a whole number, which some programs write as 1.0; a ValueError for others."""
+    if _NUMBER.fullmatch(word):
+        return int(word.partition(".")[0])
+    return int(word)
+
+
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Return numbered lines without comments; empty ones are kept (in images.txt: an image without keypoints)."""
     text = read_text(existing_file(path, "a file of a COLMAP model"))
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(map(str.strip, text.split("\n")), start=1):
         if not line.startswith("#"):
-            yield number, line.strip()
+            yield number, line
 
 
 def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -85,9 +95,11 @@ def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     after_image = False
     for number, line in _lines(path):
         words = line.split(maxsplit=9)
-        # Keypoints end in the number of a point, images in a name.
-        ends_in_number = bool(words) and words[-1].split()[-1].lstrip("-").isdecimal()
-        after_image = bool(words) and not (after_image and ends_in_number)
+        # Keypoints are triples that end in the number of a point, images end in a name, perhaps a number too.
+        last = words[-1].split() if words else []
+        keypoints = bool(last) and bool(_NUMBER.fullmatch(last[-1]))
+        keypoints &= len(words) < 10 or (len(words) - 1 + len(last)) % 3 == 0
+        after_image = bool(words) and not (after_image and keypoints)
         if after_image:
             yield number, words
 

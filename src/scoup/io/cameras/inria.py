@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base import FileFormatError, MissingFileError, existing_file
+from scoup.base import FileFormatError, MissingFileError, existing_file, listed
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
@@ -72,17 +72,19 @@ def read_cfg_args(path: str | Path) -> dict[str, Any]:
 
 
 def latest_point_cloud(folder: str | Path) -> Path:
-    """Return the PLY of the last iteration in an Inria output folder (or in its point_cloud folder)."""
+    """Return the PLY of the last iteration in an Inria output folder (or in its point_cloud folder): MonoGS's final, or
+    the only PLY where none is numbered."""
     folder = existing_folder(folder, "an output folder of Inria's code")
     inner = folder if folder.name == "point_cloud" else folder / "point_cloud"
     iterations = numbered_files(inner, "iteration_*/point_cloud.ply")
-    if not iterations:
-        raise MissingFileError(
-            inner,
-            "contains no iteration_*/point_cloud.ply",
-            "use the folder that training wrote, or the PLY itself",
-        )
-    return iterations[max(iterations)]
+    final, every = inner / "final" / "point_cloud.ply", sorted(inner.rglob("*.ply"))
+    if final.is_file():
+        return final
+    if iterations or len(every) == 1:
+        return iterations[max(iterations)] if iterations else every[0]
+    found = f" ({listed([file.relative_to(inner).as_posix() for file in every])})" if every else ""
+    problem = f"contains no iteration_*/point_cloud.ply and {len(every)} other .ply{found}"
+    raise MissingFileError(inner, problem, "use the folder that training wrote, or the PLY itself")
 
 
 def portable_name(name: str) -> str:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, listed, write_text
+from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, foreign_kind, listed, write_text
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
-from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
+from scoup.io.image_folder import find_beside, warn_of_outside
 from scoup.io.images import image_size
 from scoup.io.reading import MAX_IMAGE_SIDE, Distorted, make_camera, read_json, sorted_cameras
 from scoup.scene import Camera, Cameras
@@ -25,9 +25,13 @@ _REMEDY = (
     "cameras.json is a list"
 )
 _PINHOLE_LIKE = {"PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"}
-_LENS = re.compile("camera|lens|projection")
-_BENT = re.compile("fisheye|f_?theta|lat_?long|equirect|ortho|panoram|spherical|omni|cylind", re.I)
-"""In keys and names of lenses that are not pinholes, of nerfstudio, instant-ngp and others."""
+_LENS = re.compile("camera_type|(camera_)?projection(_type)?|lens_(type|model)")
+_BENT = re.compile(
+    r"(is_|opencv_|simple_|radial_|thin_prism_)*(fisheye|lat_?long|equirect\w*|orthographic|panoram\w*|spherical\w*|omni\w*|"
+    r"cylind\w*)(624)?|f_?theta\w*", re.I
+)  # fmt: skip
+"""Flags and names of lenses that are not pinholes, of nerfstudio, instant-ngp and others. Names of cameras, labels and
+descriptions say nothing of the lens."""
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")  # the first six are those of distortion_params
 _USED = ("k1", "k2", "p1", "p2")
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h", *_DISTORTION, "distortion_params")
@@ -51,6 +55,8 @@ def read_transforms(
     """
     path = Path(path)
     content = read_json(path, CAMERAS_JSON, _REMEDY)
+    if "frames" not in content.object() and (kind := foreign_kind(content.object())):
+        raise FileFormatError(path, *kind)
     frames = content.get("frames").items()
     paths = [portable_name(frame.get("file_path").text()) for frame in frames]
     warn_of_outside(path, path.parent, paths)
@@ -66,9 +72,6 @@ def read_transforms(
             if mask.value is not None:
                 camera = replace(camera, mask_path=find_beside(path.parent, portable_name(mask.text())))
                 unmasked += [camera.name] if camera.mask_path is None else []
-            elif (image := camera.image_path) is not None:
-                dynamic = image.with_name(f"{DYNAMIC_MASK}{image.stem}.png")
-                camera = replace(camera, mask_path=dynamic if dynamic.is_file() else None)
             cameras.append(camera)
     if unmasked:
         what = f"{path}: {counted(len(unmasked), 'mask')} (mask_path) not found ({listed(unmasked)})"
@@ -170,13 +173,16 @@ def _camera(
 
 def _distortion(name: str, keys: list[str], setting: Callable[[str], JsonNode]) -> tuple[float, ...]:
     """Return (k1, k2, p1, p2) of a frame; any other lens is refused."""
+    model = setting("camera_model").value
     for node in map(setting, keys):
         key, value = node.place.rpartition(".")[2], node.value
         if key == "camera_model":
             refused = value is not None and str(value).upper() not in _PINHOLE_LIKE
-        else:
-            said = f"{key} {value}" if isinstance(value, str) and _LENS.search(key) else key
-            refused = bool(value and _BENT.search(said))
+        elif isinstance(value, str) and model is None and _LENS.fullmatch(key):
+            refused = _BENT.fullmatch(value) is not None
+        else:  # a flag
+            set_ = value.lower() == "true" if isinstance(value, str) else bool(value)
+            refused = set_ and _BENT.fullmatch(key) is not None
         if refused:
             problem = f"frame {name!r} has {key} {str(value)[:40]!r}, a lens that is not supported"
             remedy = "make pinhole images, for example with ns-process-data or colmap"

@@ -69,6 +69,14 @@ def trained_antialiased(folder: Path) -> bool:
     return False
 
 
+def trained_as(file: Path) -> str:
+    """Return the kind of Gaussians (model_type, such as 2dgs) by gsplat's configuration above a file; "" if unsaid."""
+    for folder in list(file.absolute().parents)[:2]:
+        if (folder / GSPLAT_CONFIG).is_file():
+            return (_plain(read_text(folder / GSPLAT_CONFIG), "model_type") or "").lower()
+    return ""
+
+
 def _named_path(text: str) -> str | None:
     """Return the first path that a key ``data`` of nerfstudio's config names: a string, or a list of the parts of a
     path.

@@ -6,6 +6,7 @@ values that read the same, bit by bit.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +18,13 @@ from scoup.base import FileFormatError, InputError, ScoupWarning, counted
 from scoup.scene import MAX_SH_DEGREE, Gaussians
 
 SH_BASES = tuple((degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1))
+WITHOUT_SH = (
+    "has no SH colours",
+    "it was trained with appearance features (such as splatfacto-w); export a PLY with its own script",
+)
+LOG_THIN = math.log(1e-6)  # the third scale of flat Gaussians with two, as viewers take it
+_LEAST_JUDGED = 16  # Gaussians
+_HUGE = 0.05  # of the extent, for the median Gaussian
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
 
 
@@ -57,6 +65,28 @@ def unit_quats(raw: np.ndarray) -> np.ndarray:
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
 
 
+def find_activated(means: np.ndarray, scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
+    """Return whether stored scales [N, S], and opacities [N], have values that logarithms and logits of a trained splat
+    do not have, but lengths and opacities do."""
+    finite = np.isfinite(scales).all(1) & np.isfinite(opacities) & np.isfinite(means).all(1)
+    if int(finite.sum()) < _LEAST_JUDGED:
+        return False, False
+    means, scales, opacities = means[finite], scales[finite], opacities[finite]
+    lowest, highest = float(opacities.min()), float(opacities.max())
+    of_opacity = 0 <= lowest < 0.1 and 0.9 < highest <= 1
+    extent = float(np.linalg.norm(np.subtract(*np.quantile(means, (0.95, 0.05), axis=0))))
+    with np.errstate(all="ignore"):
+        huge = float(np.exp(np.median(scales))) > _HUGE * extent
+    return bool(scales.min() >= 0 and (of_opacity or huge)), of_opacity
+
+
+def three_logs(logs: np.ndarray) -> np.ndarray:
+    """Return [N, 3] scales of [N, 1 to 3]: one is that of all axes, two are those of a flat Gaussian."""
+    if logs.shape[1] == 1:
+        return np.repeat(logs, 3, axis=1)
+    return logs if logs.shape[1] == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=LOG_THIN)
+
+
 def trained_gaussians(
     path: Path,
     means: np.ndarray,
@@ -68,11 +98,18 @@ def trained_gaussians(
 ) -> tuple[Gaussians, np.ndarray]:
     """Return ``keep_finite`` of what trainers keep: quaternions of any norm, logarithms of scales, logits of opacities.
     ``what`` the file should be is for the FileFormatError of harmonics [N, B, 3] of no degree."""
+    if logs.shape[1] not in (1, 2, 3):
+        raise FileFormatError(path, f"has {logs.shape[1]} scales per Gaussian", f"it should be {what}")
     if sh.shape[1] not in SH_BASES:
         problem = f"has {sh.shape[1] - 1} coefficients above SH degree 0, no whole SH degree"
         raise FileFormatError(path, problem, f"it should be {what}")
     return keep_finite(
-        means, unit_quats(quats), scales_from_logs(logs), opacities_from_logits(logits), sh, str(path)
+        means,
+        unit_quats(quats),
+        scales_from_logs(three_logs(logs)),
+        opacities_from_logits(logits),
+        sh,
+        str(path),
     )
 
 
@@ -91,7 +128,7 @@ def keep_finite(
         warn_of_dropped(len(finite) - int(finite.sum()), len(finite), source, stacklevel=5)
         arrays = [array[finite] for array in arrays]
     tensors = [torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays]
-    return Gaussians(*tensors), finite
+    return Gaussians(*tensors, source_rows=None if finite.all() else torch.from_numpy(finite)), finite
 
 
 def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:

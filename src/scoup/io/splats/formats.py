@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import zipfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base import FileFormatError, InputError, MissingFileError, Registry, listed
+from scoup.base import FileFormatError, InputError, MissingFileError, Registry, foreign_kind, listed
+from scoup.io.reading import read_json
 from scoup.io.splats import (
     gaussforge_formats,
     gltf,
@@ -112,6 +115,11 @@ def read_endings() -> str:
 def other_format(path: Path) -> tuple[str, str] | None:
     """Return why a file of a well-known format is not read, and the remedy; None for other files."""
     suffix = path.suffix.lower()
+    with suppress(FileFormatError, zipfile.BadZipFile):
+        content = read_json(path, "a splat").value if suffix == ".json" else {}
+        entries = zipfile.ZipFile(path).namelist() if suffix == ".npz" else content
+        if kind := foreign_kind(entries if isinstance(entries, (dict, list)) else ()):
+            return kind
     if suffix in _CONVERTED:
         return (
             f"splats in {suffix} files are not read",
@@ -144,5 +152,8 @@ def _only_splat(folder: Path) -> SplatSource:
     if len(splats) != 1:
         names = listed([source.path.name for source in splats], 5)
         problem = f"contains {len(splats)} splats ({names})" if splats else "contains no trained splat"
+        for file in (folder / "meta.json", folder / "params.npz"):
+            if not splats and file.is_file() and (kind := other_format(file)):
+                raise MissingFileError(file, *kind)
         raise MissingFileError(folder, problem, "name the file of the splat itself")
     return splats[0]

@@ -1,22 +1,25 @@
-"""Checkpoints of gsplat's trainer: ckpts/ckpt_<step>_rank<r>.pt, one file a rank."""
+"""Checkpoints of gsplat's trainers: ckpts/ckpt_<step>_rank<r>.pt, one file a rank; of 2DGS ckpt_<step>.pt."""
 
 from __future__ import annotations
 
+import re
+import warnings
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from scoup.base import FileFormatError, MissingFileError
-from scoup.io.cameras.training_run import is_gsplat_results
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
+from scoup.io.cameras.training_run import is_gsplat_results, trained_as
 from scoup.io.reading import numbered_files
-from scoup.io.splats.activation import trained_gaussians
+from scoup.io.splats.activation import WITHOUT_SH, trained_gaussians
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensors, load_torch
 from scoup.scene import Gaussians
 
-_RANKS = "ckpt_*_rank*.pt"
-_SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
+_RANKS, _WHOLE = "ckpt_*_rank*.pt", "ckpt_*.pt"
+_MOSTLY = 2 / 3  # of the Gaussians
+_SHAPES = {"means": (3,), "quats": (4,), "scales": (-1,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
 _WHAT = "a checkpoint of gsplat's trainer"
 _WITHOUT_OBJECTS = (
     "use the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone "
@@ -41,8 +44,28 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
         )
     raw = {key: np.concatenate([rank[key] for rank in ranks]) for key in _SHAPES}
     sh = np.concatenate([raw["sh0"], raw["shN"]], axis=1)
+    if _is_flat(files[0], raw["scales"]):
+        raw["scales"] = raw["scales"][:, :2]
     columns = (raw["means"], raw["quats"], raw["scales"], raw["opacities"])
     return trained_gaussians(path, *columns, sh, _WHAT)[0]
+
+
+def _is_flat(path: Path, logs: np.ndarray) -> bool:
+    """Return whether the third of three scales was never trained: of 2DGS, which leaves it at its first value."""
+    if logs.shape[1] != 3 or not len(logs):
+        return False
+    said = trained_as(path)
+    if said:
+        return said.startswith("2dgs")
+    left = len(np.unique(logs[:, 2])) <= len(logs) // 10
+    if re.fullmatch(r"ckpt_\d+\.pt", path.name):  # no trainer of today's 3DGS writes this
+        left |= float((logs.argmax(1) == 2).mean()) > _MOSTLY
+    if left:
+        message = (
+            f"{path}: taken for 2DGS, as its third scale looks untrained: the Gaussians are read as flat"
+        )
+        warnings.warn(message, ScoupWarning, stacklevel=4)
+    return left
 
 
 def latest_ranks(folder: str | Path) -> list[Path]:
@@ -50,10 +73,11 @@ def latest_ranks(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if (folder / "ckpts").is_dir():
         folder = folder / "ckpts"
-    files = numbered_files(folder, _RANKS)
+    whole = {(step, 0): file for (step,), file in numbered_files(folder, _WHOLE).items()}
+    files = {**whole, **numbered_files(folder, _RANKS)}
     if not files:
         remedy = "use the folder ckpts of gsplat's trainer"
-        raise MissingFileError(folder, "contains no ckpt_<step>_rank<r>.pt", remedy)
+        raise MissingFileError(folder, "contains no ckpt_<step>.pt or ckpt_<step>_rank<r>.pt", remedy)
     last, _ = max(files)
     # The number of ranks is not written anywhere: the most that any step has is the best guess.
     expected = 1 + max(rank for _, rank in files)
@@ -74,8 +98,7 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(splats, dict):
         raise FileFormatError(path, "has no entry 'splats'", f"it should be {_WHAT}")
     if "colors" in splats and "sh0" not in splats:
-        remedy = "it was trained with appearance features; export a PLY"
-        raise FileFormatError(path, "has no SH colours", remedy)
+        raise FileFormatError(path, *WITHOUT_SH)
     return float_tensors(path, splats, _SHAPES, _WHAT)
 
 
@@ -84,10 +107,10 @@ def _in_results(folder: Path) -> Path | None:
     if is_gsplat_results(folder) and not any((folder / "ckpts").glob("*.pt")):
         steps = numbered_files(folder, "ply/point_cloud_*.ply")
         if not steps:
-            problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
+            problem = "contains no ckpts/ckpt_<step>.pt and no ply/point_cloud_<step>.ply"
             raise MissingFileError(folder, problem, "use a folder of gsplat's trainer with its splat")
         return steps[max(steps)]
-    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob(_RANKS))
+    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob(_WHOLE))
     return folder if has_checkpoints else None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras.training_run import is_nerfstudio_run
 from scoup.io.reading import numbered_files
-from scoup.io.splats.activation import opacities_from_logits, trained_gaussians
+from scoup.io.splats.activation import WITHOUT_SH, opacities_from_logits, trained_gaussians
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensors, load_torch
 from scoup.scene import SH_C0, Gaussians
@@ -23,7 +23,7 @@ _PREFIXES = ("_model.gauss_params.", "_model.")  # newer, older
 _SHAPES = {  # of a Gaussian
     "means": (3,),
     "quats": (4,),
-    "scales": (3,),
+    "scales": (-1,),
     "opacities": (1,),
     "features_dc": (3,),
     "features_rest": (-1, 3),
@@ -50,6 +50,8 @@ def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
     plain = {str(key).removeprefix("module."): value for key, value in pipeline.items()}
     for prefix in _PREFIXES:
         if f"{prefix}means" in plain:
+            if plain.get(f"{prefix}features_dc") is None and f"{prefix}colors" in plain:
+                raise FileFormatError(path, *WITHOUT_SH)
             shapes = {prefix + name: shape for name, shape in _SHAPES.items()}
             tensors = float_tensors(path, plain, shapes, _WHAT)
             return {name.removeprefix(prefix): tensor for name, tensor in tensors.items()}

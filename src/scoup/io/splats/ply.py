@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 from dataclasses import dataclass, replace
@@ -15,11 +14,13 @@ from scoup.base import MOST_ROWS_IN_MEMORY, FileFormatError, ScoupWarning, atomi
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
     SH_BASES,
+    find_activated,
     keep_finite,
     logits_from_opacities,
     logs_from_scales,
     opacities_from_logits,
     scales_from_logs,
+    three_logs,
     unit_quats,
 )
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed, write_compressed_ply
@@ -33,7 +34,6 @@ _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")  # in place of the base colour
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
-_LOG_THIN = math.log(1e-6)  # the third scale of flat Gaussians with two, as viewers take it
 _FILTER = "filter_3D"
 _OTHERWISE = re.compile(
     r"(trbf|motion|omega|delta|velocity|time|scal(e|ing)_t|rot_r)(_.*)?|t|scale_[3-9]|rot_[4-9]|"  # in time
@@ -108,16 +108,20 @@ class PlyTable:
         with np.errstate(all="ignore"):  # a file may contain any values
             return structured_to_unstructured(self.rows[list(names)], copy=False).astype(dtype)
 
-    def gaussians(self) -> tuple[Gaussians, np.ndarray]:
+    def gaussians(self, activated: bool | None = None) -> tuple[Gaussians, np.ndarray]:
         """Return activated Gaussians of the table, and a boolean [N] saying which rows they are.
 
         Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
         are not finite (a zero quaternion is one) are dropped.
 
+        Args:
+            activated: scales and opacities are stored as they are, where their values allow it. A FileFormatError if
+                false and they seem to be; None: not looked at.
+
         Warns:
             ScoupWarning: some rows were dropped.
         """
-        return keep_finite(**_activated(self), source=str(self.path))
+        return keep_finite(**_activated(self, activated), source=str(self.path))
 
     def write(self, path: str | Path, overwrite: bool = False) -> None:
         """Write the table as binary PLY, its rows byte for byte."""
@@ -127,7 +131,7 @@ class PlyTable:
                 stream.write(self.rows[start : start + _CHUNK].tobytes())
 
 
-def _activated(table: PlyTable) -> dict[str, np.ndarray]:
+def _activated(table: PlyTable, activated: bool | None = None) -> dict[str, np.ndarray]:
     """Return values of all rows by the names of ``Gaussians``, finite or not."""
     rest = _check_properties(table)
     bases = 1 + len(rest) // 3
@@ -136,8 +140,8 @@ def _activated(table: PlyTable) -> dict[str, np.ndarray]:
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
-    scales = scales_from_logs(_log_scales(table))
-    opacities = opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0])
+    logs, logits = _logs_and_logits(table, activated)
+    scales, opacities = scales_from_logs(three_logs(logs)), opacities_from_logits(logits)
     if _FILTER in table.names:
         # Of Mip-Splatting: the least size that the photographs resolve, which widens a Gaussian and makes it fainter.
         with np.errstate(all="ignore"):
@@ -163,22 +167,41 @@ def _base_colors(table: PlyTable) -> np.ndarray:
     return ((table.columns(_RGB, np.float64) / most - 0.5) / SH_C0).astype(np.float32)
 
 
-def _log_scales(table: PlyTable) -> np.ndarray:
-    """Return [N, 3] float64; one scale is that of all axes, two are those of a flat Gaussian."""
-    there = tuple(name for name in _SCALE if name in table.names)
-    logs = table.columns(there, np.float64)
-    if len(there) == 1:
-        return np.repeat(logs, 3, axis=1)
-    return logs if len(there) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=_LOG_THIN)
+def _logs_and_logits(table: PlyTable, activated: bool | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return [N, 1 to 3] logarithms of scales and [N] logits of opacities, float64."""
+    scales = table.columns(tuple(name for name in _SCALE if name in table.names), np.float64)
+    opacities = table.columns(("opacity",), np.float64)[:, 0]
+    if activated is False:
+        found = find_activated(table.columns(_CENTER), scales, opacities)
+        if any(found):
+            names = " and ".join(
+                name for name, one in zip(("scales", "opacities"), found, strict=True) if one
+            )
+            raise FileFormatError(
+                table.path,
+                f"seems to store {names} as they are, not as logarithms and logits (scales "
+                f"{np.nanmin(scales):.3g} to {np.nanmax(scales):.3g}, opacities {np.nanmin(opacities):.3g} to "
+                f"{np.nanmax(opacities):.3g})",
+                f"if so, rewrite it: scoup convert {table.path} OUT.ply `activated=True`",
+            )
+    with np.errstate(all="ignore"):
+        if activated and np.nanmin(scales, initial=0) >= 0:
+            scales = np.log(scales)
+        if activated and np.nanmin(opacities, initial=0) >= 0 and np.nanmax(opacities, initial=1) <= 1:
+            opacities = np.log(opacities) - np.log1p(-opacities)
+    return scales, opacities
 
 
-def read_ply(path: str | Path) -> Gaussians:
+def read_ply(path: str | Path, activated: bool = False) -> Gaussians:
     """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
 
     Two scales (2DGS) or one, and red, green, blue in place of f_dc are read too.
 
     Compressed files as PlayCanvas and SuperSplat write them are read too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in
     a binary file, the values are in temporary files (TMPDIR).
+
+    Args:
+        activated: as of ``PlyTable.gaussians``.
 
     Warns:
         ScoupWarning: rows were dropped, the file is longer than its header says, or its Gaussians are not plain ones.
@@ -187,9 +210,9 @@ def read_ply(path: str | Path) -> Gaussians:
     if is_compressed(header.dtype.names or ()):
         gaussians = read_compressed(header.path, read_rows(header))
     elif header.count > MOST_ROWS_IN_MEMORY and header.encoding != "ascii":
-        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
+        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows), activated))
     else:
-        gaussians = PlyTable(header.path, read_rows(header)).gaussians()[0]
+        gaussians = PlyTable(header.path, read_rows(header)).gaussians(activated)[0]
     _warn_of_other_gaussians(header)
     said = any(_SAYS_MIP.search(comment) for comment in header.comments)
     return replace(gaussians, antialiased=said or _FILTER in (header.dtype.names or ()))

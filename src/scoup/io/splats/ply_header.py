@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from codecs import BOM_UTF8
 from collections.abc import Sequence
@@ -154,11 +155,14 @@ def _text(data: bytes) -> str:
 
 
 def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
-    names = [name for name, _ in element.fields]
+    names = [re.sub(r"^(scalar_)+", "", name) for name, _ in element.fields]  # CloudCompare's prefix
+    if len(set(names)) != len(names):
+        names = [name for name, _ in element.fields]
     if not names or len(set(names)) != len(names) or len(names) > MAX_PROPERTIES:
         problem = f"has no, twice the same, or too many properties in element {element.name!r}"
         raise FileFormatError(path, problem, _DAMAGED)
-    return np.dtype([(name, _ORDERS[encoding] + kind) for name, kind in element.fields])
+    kinds = [_ORDERS[encoding] + kind for _, kind in element.fields]
+    return np.dtype([*zip(names, kinds, strict=True)])
 
 
 def _bytes_before(path: Path, elements: list[_Element], encoding: str) -> int:

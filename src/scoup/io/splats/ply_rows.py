@@ -31,10 +31,11 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
     """Read the Gaussians of the rows that a binary header describes, read in parts, with all values in temporary files.
     ``activate`` returns the values [M, ...] of some rows, by the names of ``Gaussians``."""
     arrays: dict[str, np.ndarray] = {}
-    count = 0
+    count, kept = 0, []
     for first in range(0, header.count, AT_A_TIME):
         block = activate(_read_binary(header, first, min(AT_A_TIME, header.count - first)))
         finite = finite_rows(list(block.values()))
+        kept.append(finite)
         end = count + int(finite.sum())
         for name, values in block.items():
             if name not in arrays:
@@ -44,7 +45,8 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
     tensors: dict[str, Any] = {name: torch.from_numpy(values[:count]) for name, values in arrays.items()}
-    return Gaussians(**tensors)
+    rows = torch.from_numpy(np.concatenate(kept)) if count < header.count else None
+    return Gaussians(**tensors, source_rows=rows)
 
 
 def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:

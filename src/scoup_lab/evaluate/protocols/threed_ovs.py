@@ -47,6 +47,9 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
             path = frame / f"{name}.png"
             if path.is_file():
                 masks[name] = torch.from_numpy(read_mask(path, WHITE))
+                if not masks[name].any():
+                    problem = f"is a truth of nothing (no pixel is above {WHITE})"
+                    raise FileFormatError(path, problem, "use masks of 0 and 255, or remove the file")
             else:
                 lacking += 1
         if not masks:
