@@ -170,6 +170,20 @@ def test_embeddings_are_those_of_the_model_fed_by_hand(build, dim, mean, std, tm
     assert float((rows @ rows.T).min()) < 0.99, "the tiny model takes all crops for the same"
 
 
+def test_crops_of_clip_in_bfloat16(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, siglip = saved(tiny_clip(), tmp_path / "clip"), saved(tiny_siglip(), tmp_path / "siglip")
+    crops = torch.from_numpy(np.stack([smooth_image(32, 32, seed) for seed in range(15)]))
+    rows: list[torch.Tensor] = []
+    for there, kind in ((True, torch.bfloat16), (False, torch.float32)):
+        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda there=there: there)
+        model = open_image_model(str(clip))
+        assert (model.dtype, open_image_model(str(siglip)).dtype) == (kind, torch.float32)
+        rows.append(model.embed(crops))
+    assert rows[0].dtype == torch.float32
+    assert not rows[0].equal(rows[1])
+    assert float((rows[0] * rows[1]).sum(1).min()) > 0.999
+
+
 def test_sizes_and_normalisation_come_with_the_model(tmp_path: Path) -> None:
     model = tiny_clip(side=48)
     plain = open_image_model(str(saved(model, tmp_path / "a")))

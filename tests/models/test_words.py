@@ -21,7 +21,15 @@ from torch import Tensor
 
 from children import finished
 from messages import refuses
-from scoup.base import FileFormatError, MissingFileError, OutputExistsError, UnknownNameError, write_npz
+from scoup.base import (
+    FileFormatError,
+    MissingFileError,
+    OutputExistsError,
+    ScoupError,
+    ScoupWarning,
+    UnknownNameError,
+    write_npz,
+)
 from scoup.models import text, word_cache
 from scoup.models.hub import ModelIdentity, file_states
 from scoup.models.text import TextEncoder
@@ -224,9 +232,6 @@ def test_a_model_encodes_words_once(tmp_path: Path, cache: Path, monkeypatch: py
     assert encoder.everyday().equal(first)
     assert encoder.encode(list(EVERYDAY_WORDS)).equal(first)  # as a page asks for its vocabulary
     assert (len(counted), path.read_bytes()) == (len(EVERYDAY_WORDS), written)
-    plain = encoder.encode(EVERYDAY_WORDS[:-1])  # not from the cache
-    assert len(plain) == len(first) - 1 == len(counted) - len(first)
-    torch.testing.assert_close(first[:-1], plain, atol=5e-4, rtol=0)
     # Other weights, even if all that the file system says is as before, which it rarely is.
     before = (folder / "model.safetensors").stat()
     save_text_clip(folder, seed=1)
@@ -249,7 +254,7 @@ def ask(
         calls.append(len(asked))
         return vectors[1 : 1 + len(asked)]
 
-    return word_cache.everyday_vectors(model, vectors[:1], words, encode), calls
+    return word_cache.cached_vectors(model, vectors[:1], words, encode), calls
 
 
 def test_what_the_key_depends_on(cache: Path) -> None:
@@ -310,12 +315,134 @@ def test_without_a_cache_words_are_encoded(cache: Path, monkeypatch: pytest.Monk
         assert vectors.equal(expected)
 
 
+ASKED = ["red apple", "kettle", "my own chair", "red apple"]  # the second is an everyday word
+
+
+@pytest.fixture
+def clip_files(tmp_path: Path) -> Path:
+    return save_text_clip(tmp_path / "clip")
+
+
+def no_model(*arguments: Any) -> None:
+    raise AssertionError(f"{arguments} opened")
+
+
+def test_known_words_need_no_model(clip_files: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = TextEncoder.open(clip_files)
+    asked, canonical, everyday = first.encode(ASKED), first.canonical(), first.everyday()
+    assert asked[1].equal(everyday[EVERYDAY_WORDS.index("kettle")])
+    many = first.encode([*ASKED, *(f"{name} apple" for name in range(word_cache.MOST_ALONE))])
+    torch.testing.assert_close(many[:4], asked, atol=1e-6, rtol=1e-5)
+    assert len([*cache.with_name("asked").glob("*/*")]) == 1 + 2 + len(CANONICAL_PHRASES)  # and the model
+    with monkeypatch.context() as patch:
+        patch.setattr(text, "open_text_model", no_model)
+        patch.setitem(sys.modules, "transformers", None)
+        encoder = TextEncoder.open(clip_files)
+        assert (encoder.dim, encoder.name) == (first.dim, first.name)
+        assert encoder.encode(ASKED).equal(asked)
+        assert encoder.encode(EVERYDAY_WORDS).equal(everyday)
+        assert encoder.canonical().equal(canonical)
+        with pytest.raises(AssertionError, match="opened"):
+            encoder.encode(["red kettle"])
+    # The same bytes with some, all or none of them in the cache.
+    shutil.rmtree(cache.with_name("asked"))
+    TextEncoder.open(clip_files).encode(["my own chair"])
+    assert TextEncoder.open(clip_files).encode(ASKED).equal(asked)
+    monkeypatch.setattr(word_cache, "cache_folder", lambda: None)
+    assert TextEncoder.open(clip_files).encode(ASKED).equal(asked)
+
+
+def test_long_phrases_and_old_words_are_not_kept(
+    clip_files: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for _ in range(2):  # the second warns as the first
+        with pytest.warns(ScoupWarning, match="tokens"):
+            TextEncoder.open(clip_files).encode(["red apple chair object " * 3])
+    monkeypatch.setattr(word_cache, "_MOST_FILES", 3)
+    TextEncoder.open(clip_files).encode([f"apple {number}" for number in range(5)])
+    TextEncoder.open(clip_files).encode(["red chair"])
+    (path,) = (
+        path for path in cache.with_name("asked").rglob("*.npz") if WordTable.load(path).names == (PROBE,)
+    )
+    path.write_bytes(b"")
+    TextEncoder.open(clip_files)
+    assert len([*path.parent.iterdir()]) == 3
+    assert WordTable.load(path).names == (PROBE,)
+
+
+def test_damaged_and_foreign_files_of_asked_words(clip_files: Path, tmp_path: Path, cache: Path) -> None:
+    folders, phrases = (clip_files, save_text_clip(tmp_path / "other", seed=1)), ["red apple", "red chair"]
+    files: list[dict[tuple[str, ...], Path]] = []
+    for folder in folders:
+        before = {*cache.with_name("asked").rglob("*.npz")}
+        TextEncoder.open(folder).encode(phrases)
+        new = {*cache.with_name("asked").rglob("*.npz")} - before
+        files.append({WordTable.load(path).names: path for path in new})
+    first, second = files
+    assert first.keys() == second.keys() == {(PROBE,), (PROBE, "red apple"), (PROBE, "red chair")}
+    expected = TextEncoder.open(clip_files).encode(phrases)
+    apple = (PROBE, "red apple")
+    for names, foreign in [*((names, second[names]) for names in first), (apple, first[PROBE, "red chair"])]:
+        shutil.copyfile(foreign, first[names])
+        assert TextEncoder.open(clip_files).encode(phrases).equal(expected), names
+    shutil.copyfile(first[apple], first[PROBE,])  # a word's file in place of the model's
+    assert TextEncoder.open(clip_files).encode(phrases).equal(expected)
+    for path in (first[PROBE,], first[apple]):
+        written = path.read_bytes()
+        for place in range(0, len(written), 211):
+            path.write_bytes(written[:place] + bytes([written[place] ^ 4]) + written[place + 1 :])
+            assert TextEncoder.open(clip_files).encode(phrases).equal(expected), (path, place)
+
+
+def test_a_model_that_changes_while_it_is_in_use(clip_files: Path) -> None:
+    TextEncoder.open(clip_files).encode(["red apple"])
+    with TextEncoder.open(clip_files) as encoder:
+        before = encoder.encode(["red apple"])
+        save_text_clip(clip_files, seed=1)
+        for _ in range(2):
+            with refuses(ScoupError):
+                encoder.encode(["red chair"])
+    assert not TextEncoder.open(clip_files).encode(["red apple"]).allclose(before, atol=0.01)
+
+
+def test_a_name_that_opens_the_same_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    versions = {"transformers": "5", "open_clip_torch": "2"}
+    monkeypatch.setattr("importlib.metadata.version", versions.__getitem__)
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
+    of_hub = ModelIdentity("a/model", "c0ffee", "transformers 5")
+    assert of_hub.is_current("a/model", None)  # nothing is known of it here
+    refs = tmp_path / "models--a--model" / "refs"
+    refs.mkdir(parents=True)
+    for name, commit in (("main", "c0ffee"), ("new", "0ff")):
+        (refs / name).write_text(f"{commit}\n")
+    assert of_hub.is_current("a/model", None)
+    assert of_hub.is_current("a/model", "c0ffee")
+    assert not of_hub.is_current("a/model", "new")
+    assert not replace(of_hub, revision="").is_current("a/model", None)
+    assert not replace(of_hub, package="transformers 4").is_current("a/model", None)
+    assert not replace(of_hub, package="another 5").is_current("a/model", None)
+    (weights := tmp_path / "weights.pt").write_text("123")
+    for name, identity in (
+        (
+            f"open_clip:ViT-B-16/{weights}",
+            ModelIdentity("open_clip:ViT-B-16", "", "open_clip 2", file_states(str(weights))),
+        ),
+        (str(refs), ModelIdentity("refs", "", "transformers 5", file_states(str(refs)))),
+    ):
+        assert identity.is_current(name, None)
+        assert not replace(identity, files=()).is_current(name, None)
+    assert ModelIdentity("open_clip:ViT-B-16/tag", "", "open_clip 2").is_current(
+        "open_clip:ViT-B-16/tag", None
+    )
+
+
 def test_files_of_a_model(tmp_path: Path) -> None:
     assert file_states(str(tmp_path / "laion2b")) == ()
     (tmp_path / "weights").write_text("123")
     os.utime(tmp_path / "weights", ns=(0, 5))
     (tmp_path / "inner").mkdir()
-    state = f"{os.path.realpath(tmp_path / 'weights')} 3 5"
+    changed = os.stat(tmp_path / "weights").st_ctime_ns
+    state = f"{os.path.realpath(tmp_path / 'weights')} 3 5 {changed}"
     assert file_states(str(tmp_path)) == file_states(str(tmp_path / "weights")) == (state,)
 
 

@@ -8,10 +8,10 @@ import os
 import re
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
+from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +34,10 @@ _SPELT = re.compile(
     r"^([\w-]*ViT-\w+)/(\d+)(?:@(\d+)px)?(?=[-/]|$)"
 )  # as its authors write ViT-B-16: ViT-B/16
 _SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
+_DISTRIBUTIONS = {
+    "transformers": "transformers",
+    "open_clip": "open_clip_torch",
+}  # package -> its name in an index
 _PATIENCE = (
     5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
 )
@@ -93,14 +97,42 @@ class ModelIdentity:
     name: str  # the hub id, or the last part of the folder
     revision: str  # the commit of a hub model; "" if unknown
     package: str  # that runs it, with its version
-    files: tuple[str, ...] = ()  # of a model on this machine: path, size and time of change
+    files: tuple[str, ...] = ()  # of a model on this machine: path, size and times of change
+
+    def is_current(self, name: str, revision: str | None) -> bool:
+        """Return whether a name still opens this model, without opening it; False if that cannot be told."""
+        package, _, version = self.package.partition(" ")
+        if package not in _DISTRIBUTIONS:
+            return False
+        with suppress(metadata.PackageNotFoundError):  # without the package, no other version can be meant
+            if metadata.version(_DISTRIBUTIONS[package]) != version:
+                return False
+        is_open_clip = name.startswith(OPEN_CLIP)
+        if file_states(name.partition("/")[2] if is_open_clip else name) != self.files:
+            return False
+        if is_open_clip or self.files:
+            return True
+        return self.revision != "" and _cached_commit(name, revision) in ("", self.revision)
+
+
+def _cached_commit(name: str, revision: str | None) -> str:
+    """Return the commit of a branch or tag in this machine's cache of Hugging Face; "" if it is not there."""
+    if find_spec("huggingface_hub") is None:
+        return ""
+    from huggingface_hub import constants
+
+    folder = Path(constants.HF_HUB_CACHE, f"models--{name.replace('/', '--')}", "refs")
+    try:
+        return (folder / (revision or "main")).read_text(encoding="utf-8").strip()
+    except (OSError, ValueError):
+        return ""
 
 
 def file_states(path: str) -> tuple[str, ...]:
-    """Return path, size and time of change of a file, or of the files in a folder; nothing if it is not there."""
+    """Return path, size and times of change of a file, or of the files in a folder; nothing if it is not there."""
     files = sorted(entry.path for entry in os.scandir(path)) if os.path.isdir(path) else [path]
     states = [(file, os.stat(file)) for file in map(os.path.realpath, files) if os.path.isfile(file)]
-    return tuple(f"{file} {state.st_size} {state.st_mtime_ns}" for file, state in states)
+    return tuple(f"{file} {state.st_size} {state.st_mtime_ns} {state.st_ctime_ns}" for file, state in states)
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,7 @@ class ImageModel:
 def open_image_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> ImageModel:
-    """Load an image model of transformers (folder or hub id); in 16 bits on a GPU."""
+    """Load an image model of transformers (folder or hub id); in 16 bits on a GPU, CLIP also on CPUs with bfloat16."""
     request = ModelRequest("embedder", name, WITHOUT_MODEL, revision=revision)
 
     def load(files: Pretrained) -> tuple[Tower, Normalization, str]:
@@ -56,6 +56,8 @@ def open_image_model(
 
     tower, normalization, commit = load_pretrained(request, load)
     dtype = usual_dtype(device)
+    if tower.kind == "clip" and multiplies_bfloat16(device):
+        dtype = torch.bfloat16  # half the time; the cosine with 32 bits is above .999
     tower.model.to(device=device, dtype=dtype)
     return ImageModel(name, commit, tower.image_features, tower.side, normalization, device, dtype)
 
@@ -76,3 +78,9 @@ def open_clip_image_model(
 def usual_dtype(device: torch.device | str) -> torch.dtype:
     """Return the type of numbers in which embedders run on a device."""
     return torch.float16 if torch.device(device).type == "cuda" else torch.float32
+
+
+def multiplies_bfloat16(device: torch.device | str) -> bool:
+    """Return whether a device is a CPU that multiplies bfloat16; others take twice the time of 32 bits."""
+    is_supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)  # a private name of torch
+    return torch.device(device).type == "cpu" and is_supported()

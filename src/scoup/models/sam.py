@@ -18,6 +18,7 @@ from torch.nn import functional
 from scoup.base import MissingFileError, Registry, ScoupError, file_sha256, refuse_pointer
 from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
+from scoup.models.image import multiplies_bfloat16
 from scoup.models.mobile_sam import CHECKPOINT_URL, MOBILE_SAM_FILE, sam_of_checkpoint
 from scoup.models.normalization import HALF, IMAGENET, Normalization
 from scoup.models.sam_decoder import SharedDecoder
@@ -224,8 +225,7 @@ def reduce_precision(model: Any, device: torch.device | str, half: bool) -> None
 
     As 16 bits of a GPU, they are no setting: machines of both kinds may make the views of one folder.
     """
-    is_supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)  # a private name of torch
-    if half and torch.device(device).type == "cpu" and is_supported():
+    if half and multiplies_bfloat16(device):
         model.vision_encoder.bfloat16()
         model.mask_decoder.bfloat16().iou_prediction_head.float()
 

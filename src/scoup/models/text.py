@@ -27,7 +27,7 @@ from scoup.models.embedders import TEXT_MODELS, open_text_model
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity
 from scoup.models.plain_colors import COLORS
-from scoup.models.word_cache import PROBE, everyday_vectors
+from scoup.models.word_cache import CachedTexts, EncodeUnit
 from scoup.models.word_table import WordTable, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 
@@ -49,7 +49,8 @@ Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Pat
 class TextEncoder:
     """Turns phrases into unit vectors, with ``TextEncoder.open``; usable as a context manager.
 
-    Phrases are encoded as they stand, without a prompt template.
+    Phrases are encoded as they stand, without a prompt template. A model is loaded for the first phrase whose vector is
+    not in the user's cache.
 
     Attributes:
         name: id of the embedding model, "" if a table does not name it. Queries of a field must come from the model
@@ -76,7 +77,7 @@ class TextEncoder:
         self._made_by: tuple[Callable[..., TextEncoder], tuple[Any, ...]] | None = None
         self._canonical: Tensor | None = None
         self._everyday: Tensor | None = None
-        self._model: tuple[ModelIdentity, Tensor] | None = None  # with its vector of the probe
+        self._model: CachedTexts | None = None
 
     def __contains__(self, phrase: str) -> bool:
         """Return whether it encodes a phrase: a table has it in one of its forms (``word_forms``)."""
@@ -147,10 +148,14 @@ class TextEncoder:
         if text == COLORS:
             raise ScoupError(_NO_WORDS)
         refuse_other_file(text)
-        encode, identity = open_text_model(text, revision, device)
-        probe = _encoded(encode, [PROBE])
-        opened = cls(text, int(probe.shape[1]), encode)
-        opened._model, opened.source = (identity, probe), text
+
+        def load() -> tuple[EncodeUnit, ModelIdentity]:
+            encode, identity = open_text_model(text, revision, device)
+            return partial(_encoded, encode), identity
+
+        model = CachedTexts(text, revision, device, load)
+        opened = cls(text, int(model.probe.shape[1]), model.encode)
+        opened._model, opened.source = model, text
         opened._made_by = TextEncoder.open, (text, revision, device)
         return opened
 
@@ -199,9 +204,7 @@ class TextEncoder:
                 )
         if not phrases:
             return torch.zeros(0, self.dim)
-        if self._model is not None and len(phrases) > _BATCH and tuple(phrases) == words.EVERYDAY_WORDS:
-            return self.everyday().clone()  # the vocabulary of pages
-        return _encoded(self._encode, phrases)
+        return _encoded(self._encode, phrases) if self._model is None else self._model.encode(phrases)
 
     def canonical(self, everyday: bool = False) -> Tensor:
         """Return [4, D] float32 unit vectors of the canonical phrases (``scoup.models.words.CANONICAL_PHRASES``).
@@ -220,12 +223,11 @@ class TextEncoder:
     def everyday(self) -> Tensor:
         """Return [B, D] float32 unit vectors of everyday words (``scoup.models.words``).
 
-        For a table all its names except the canonical phrases. For a model a fixed list of words, whose vectors are
-        rounded to 16 bits: they are encoded once, and read from the user's cache afterwards.
+        For a table all its names except the canonical phrases. For a model a fixed list of words, which are encoded
+        once, and read from the user's cache afterwards.
         """
-        if self._everyday is None and self._model is not None and self._encode is not None:
-            encode = partial(_encoded, self._encode)
-            self._everyday = everyday_vectors(*self._model, words.EVERYDAY_WORDS, encode)
+        if self._everyday is None and self._model is not None:
+            self._everyday = self._model.everyday
         elif self._everyday is None:
             phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
             names = words.EVERYDAY_WORDS if self.names is None else self.names
@@ -244,7 +246,7 @@ class TextEncoder:
 
     def close(self) -> None:
         """Release the model or table."""
-        self._encode = self._canonical = self._everyday = None
+        self._encode = self._canonical = self._everyday = self._model = None
 
     def __enter__(self) -> TextEncoder:
         return self
