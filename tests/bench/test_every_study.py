@@ -207,6 +207,7 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "answers_row", lambda device: {"device": device})  # tested below
 
 
+@pytest.mark.filterwarnings("ignore:the near plane")  # random Gaussians lie in front of it
 @pytest.mark.usefixtures("_on_a_cpu", "quick_python")
 def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("benchmarks.gpu_rows.TESTS", TESTS[:1])

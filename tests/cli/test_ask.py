@@ -165,7 +165,8 @@ def test_masks_for_trainers():
     options = ("--camera", "all", "--pictures", "masks", "--npz", "--out", "m")
     assert run("query", "f.scoup", "kettle", "mug", *options)[0] == 0
     assert run("label", "f.scoup", "kettle", "mug", "--outputs", "masks", "--out", "l")[0] == 0
-    for name in LanguageField.load("f.scoup").cameras.names:
+    for camera in LanguageField.load("f.scoup").cameras or ():
+        name = camera.name
         stem = name.removesuffix(".png")
         expected = np.load(f"m/{stem}/relevancy.npz")["mask"].any(0)
         with Image.open(f"m/masks/{stem}.png") as picture, Image.open(f"l/masks/{stem}.png") as labelled:

@@ -66,13 +66,14 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize("common", [Common(), Common(quiet=True), MACHINES])
 def test_a_terminal_shows_that_a_verb_has_begun_until_it_says_more(monkeypatch, common):
-    monkeypatch.setattr(sys, "stderr", Terminal())
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
     before = []
 
     def verb(console: Console) -> None:
-        before.append(sys.stderr.getvalue())
+        before.append(terminal.getvalue())
         console.say("done")
-        before.append(sys.stderr.getvalue())
+        before.append(terminal.getvalue())
 
     assert run_verb(common, verb) == 0
     shown = "loading ...\r" if common == Common() else ""

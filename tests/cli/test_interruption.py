@@ -181,7 +181,7 @@ def test_where_nothing_is_kept_nothing_is_left(
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_server_of_agents_ends_quietly_while_its_input_is_open(number: signal.Signals, code: int) -> None:
     pytest.importorskip("mcp", reason="needs scoup[mcp]")
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:

@@ -266,7 +266,7 @@ def test_connections_that_send_nothing_lock_nobody_out(verb: str, before: str) -
             server, asked = stack.enter_context(served_over_http(before))
         address = urlsplit(asked.full_url)
         for number in range(200):
-            opened = stack.enter_context(socket.create_connection((address.hostname, address.port)))
+            opened = stack.enter_context(socket.create_connection((address.hostname, address.port or 0)))
             opened.sendall(b"POST /mcp HTTP/1.1\r\nHost: 127" * (number % 2))
         for _ in range(3):
             with urllib.request.urlopen(asked) as answer:

@@ -6,6 +6,7 @@ import hashlib
 import threading
 import warnings
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -172,6 +173,11 @@ def test_masks_of_other_programs(tmp_path: Path, place: str, cameras: bool) -> N
         find_photographs(tmp_path)
 
 
+MEANINGS: tuple[tuple[Literal["white", "black", False], str], ...] = (
+    ("white", "67%"), ("black", "33%"), (False, ""),
+)  # fmt: skip
+
+
 def test_masks_that_hide_most_are_asked_for(tmp_path: Path) -> None:
     (tmp_path / "masks").mkdir()
     for number in range(3):
@@ -179,7 +185,7 @@ def test_masks_that_hide_most_are_asked_for(tmp_path: Path) -> None:
         Image.fromarray(LEFT[None].repeat(20, 0)).save(tmp_path / f"masks/{number}.png")
     with refuses():
         report_masks(find_photographs(tmp_path))
-    for masks, share in (("white", "67%"), ("black", "33%"), (False, "")):
+    for masks, share in MEANINGS:
         found = find_photographs(tmp_path, masks=masks)
         assert report_masks(found) == (f"3 masks: {share} of the pixels get no regions" if share else "")
 

@@ -95,11 +95,11 @@ class Build:
         kept_sums, seconds = sums if self.region_sums.keep_sums else None, time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
-        console.say(whole + _suggestion(field, out))
         if (things := field.thing_table) and (
             doubt := doubt_of(things.owners.numpy(), things.levels.numpy())
         ):
             console.say(f"{doubt} (docs/answers.md#where-a-field-is-unsure)")
+        console.say(whole + _suggestion(field, out))
         return None
 
     def _out(self) -> Path:

@@ -58,7 +58,8 @@ class BoundedConnection(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        if self.scope is not None and self.has_token is not None and self.has_token(self.scope):
+        has_token = type(self).has_token
+        if self.scope is not None and has_token is not None and has_token(self.scope):
             self.is_stranger = False
         self._wait()
 
