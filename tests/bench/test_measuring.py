@@ -211,7 +211,7 @@ def test_rows_are_kept_and_not_measured_again(tmp_path: Path) -> None:
 def test_the_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    studies: dict[str, str] = {name: f"{__name__}:Squares" for name in ("squares", "again")}
+    studies: dict[str, str] = dict.fromkeys(("squares", "again"), f"{__name__}:Squares")
     monkeypatch.setattr(program, "STUDIES", Family("All.", studies))
     assert program.main(["squares", "--numbers", "4"]) == 0
     assert program.main(["squares", "--numbers", "7"]) == 1
