@@ -95,10 +95,10 @@ class Build:
         kept_sums, seconds = sums if self.region_sums.keep_sums else None, time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
-        if (things := field.thing_table) and (
-            doubt := doubt_of(things.owners.numpy(), things.levels.numpy())
-        ):
-            console.say(f"{doubt} (docs/answers.md#where-a-field-is-unsure)")
+        if field.thing_table is not None:
+            things = field.thing_table.to("cpu")
+            if doubt := doubt_of(things.owners.numpy(), things.levels.numpy()):
+                console.say(f"{doubt} (docs/answers.md#where-a-field-is-unsure)")
         console.say(whole + _suggestion(field, out))
         return None
 
