@@ -61,10 +61,9 @@ def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
 def _of_the_largest(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     if "things.owners" not in arrays:
         return {}
-    owners, levels = arrays["things.owners"], arrays["things.levels"]
-    doubt = doubt_of(owners, levels)
-    share = {"largest_thing": round(_largest_share(owners, levels), 3)}
-    return {**share, "doubt": doubt} if doubt else share
+    share = _largest_share(arrays["things.owners"], arrays["things.levels"])
+    doubt = _doubt(share)
+    return {"largest_thing": round(share, 3), **({"doubt": doubt} if doubt else {})}
 
 
 def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:
@@ -74,7 +73,10 @@ def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:
         owners: [N, S] the thing of each Gaussian at each level.
         levels: [T] the level of each thing.
     """
-    share = _largest_share(owners, levels)
+    return _doubt(_largest_share(owners, levels))
+
+
+def _doubt(share: float) -> str:
     if share < DOUBTFUL_SHARE:
         return ""
     return f"a thing has {share:.0%} of the Gaussians of its level: answers may be poor"
