@@ -120,7 +120,10 @@ def report_masks(photographs: Sequence[Photograph]) -> str:
     """
     masked = [item for item in photographs if item.mask]
     shares = []
-    for item in spread(masked or list(photographs), _MOST_READ):
+    transparent = [
+        item for item in photographs if item.path.suffix.lower() not in _LOSSY
+    ]  # those that may be
+    for item in spread(masked or transparent, _MOST_READ):
         with suppress(ScoupError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             hidden = read_photograph(item.path, 270, item.mask, item.masks_keep).masked
