@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -24,6 +25,7 @@ from messages import refuses, warns
 from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
+from scoup.archive import list_scans
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
 from scoup.archive.database import call, connect
@@ -133,7 +135,7 @@ def test_things_are_counted_as_in_the_fields(archive: scoup.Archive, fields: Fie
     few.save(tmp_path / "few.scoup")
     archive.add(few)
     counts = {name: len(field.things()) for name, field in {**fields, "few": few}.items()}
-    assert archive.counts() == counts
+    assert {scan.name: scan.things for scan in list_scans(archive.folder)} == counts
     assert few.thing_table is not None
     assert 0 < counts["few"] < len(few.thing_table)
 
@@ -353,6 +355,7 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     found = run_json("archive", "a", "mug", "--where", "floor = 2", "--top", "2")
     assert sum(found["scans"].values()) == len(found["things"]) == 2
     assert found["things"] == [each.to_dict() for each in scoup.Archive("a").find("mug", top=2)]
+    assert "the best of 5; best first" in run("archive", "a", "mug", "--top", "2")[1]
     assert run_json("archive", "a", "mug", "--at-least", "3")["scans"] == {"kitchen": 3}
     exported = paths[1].with_suffix(".html")  # pyright: ignore[reportOptionalMemberAccess]
     exported.touch()
@@ -368,8 +371,35 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     scoup.Archive("a").add(fields["kitchen"], city="Graz\nhall: 99 things")
     assert "kitchen: 16 things of" in (listed := run("archive", "a", "--list")[1])
     assert len(listed.splitlines()) == 4
+    program = 'import sys; from scoup.cli import entry\ntry: entry()\nexcept SystemExit: exit("torch" in sys.modules)'
+    listing = [sys.executable, "-c", program, "archive", "a", "--list"]
+    assert subprocess.run(listing, capture_output=True, text=True, check=True).stdout == listed
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
+
+
+def test_doubtful_answers_are_marked_and_folded(
+    archive: scoup.Archive, fields: Fields, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for question in ("mug", "mug left of the laptop"):
+        for thing in archive.find(question):
+            assert thing.certainty == fields[thing.scan].answer("mug").certainty == "sure"
+    monkeypatch.setattr(constants, "SURE", 2.0)
+    monkeypatch.setattr(constants, "LIKELY", 2.0)
+    lines = run("archive", archive.folder, "mug")[1].splitlines()
+    assert lines[0].startswith("5 are doubtful: kitchen (thing ")
+    assert len(lines) == 2
+    page = results_page("mug", archive.find("mug"), archive.folder / "found.html")
+    assert page.index("<li>") > page.index("<summary>5 doubtful</summary>")
+
+
+@pytest.mark.parametrize(
+    "where", ["flor = 2", "floor =", "floor + scan > 2", "no_such_function(floor)", "city::INTEGER > 2"]
+)
+def test_a_condition_that_cannot_be_used_says_what_can(archive: scoup.Archive, where: str) -> None:
+    with refuses() as error:
+        archive.find("mug", where=where)
+    assert "columns are scan, thing, row" in str(error.value)
 
 
 def test_scans_that_may_have_better_things_are_asked(archive: scoup.Archive) -> None:
@@ -380,5 +410,6 @@ def test_scans_that_may_have_better_things_are_asked(archive: scoup.Archive) -> 
             for bound, ranks in ((1.0, (0.9, 0.2)), (0.5, (0.4,)), (0.3, (0.25,))):
                 yield bound, lambda ranks=ranks: [Found(0, 0, "mug", None, rank) for rank in ranks]
 
-    found = archive._answers(cast(Any, Batches()), {0: None}, 2)
+    found, count = archive._answers(cast(Any, Batches()), {0: None}, 2)
     assert [answer.rank for answer in found] == [0.9, 0.4]
+    assert count is None  # the last scan was not asked

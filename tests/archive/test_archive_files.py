@@ -26,7 +26,7 @@ from messages import refuses
 from query import planted_room as planted
 from query.planted_room import planted_room
 from scoup.archive import archive as archive_module
-from scoup.archive import kept_scans, scan_files
+from scoup.archive import kept_scans, scan_files, scan_header
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
 from scoup.base import FileFormatError, UnknownNameError
@@ -135,7 +135,7 @@ def test_a_matrix_with_nan_and_the_right_checksum_is_named(archive: scoup.Archiv
 
     def seal(header: dict[str, Any]) -> None:
         header["vectors_checksum"] = zlib.crc32(data[start:end])
-        header["checksum"] = scan_files._checksum(header)
+        header["checksum"] = scan_header.checksum(header)
 
     rewrite(scan.file, seal)
     with pytest.raises(FileFormatError, match="not finite, in the vectors of the scan office"):
@@ -282,7 +282,7 @@ def with_array(name: str, change: Callable[[torch.Tensor], torch.Tensor]) -> Cal
         arrays = load(base64.b64decode(header["arrays"]))
         arrays[name] = change(arrays[name]).contiguous()
         header["arrays"] = base64.b64encode(save(arrays)).decode()
-        header["checksum"] = scan_files._checksum(header)
+        header["checksum"] = scan_header.checksum(header)
 
     return changed
 

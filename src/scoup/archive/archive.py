@@ -24,8 +24,9 @@ from PIL import Image, ImageOps
 from torch import Tensor
 
 from scoup.archive.database import WHERE_SECONDS, connect, matching_things
-from scoup.archive.kept_scans import KeptScans, file_of, free_row, scan_names, vector_bytes
-from scoup.archive.scan_files import OwnColumns, Scan, arrays_of, check_columns, read_places, write_scan
+from scoup.archive.kept_scans import KeptScans, free_row, vector_bytes
+from scoup.archive.scan_files import Scan, arrays_of, read_places, write_scan
+from scoup.archive.scan_header import OwnColumns, check_columns, check_folder, file_of, scan_names
 from scoup.archive.search import (
     AskedScans,
     Encode,
@@ -48,10 +49,11 @@ from scoup.base import (
     rounded_vector,
     write_text,
 )
-from scoup.field import LEAST_GAUSSIANS, place_of, relative_place
+from scoup.field import place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
 from scoup.query import (
+    Certainty,
     LanguageField,
     OrientedBox,
     Thing,
@@ -83,6 +85,8 @@ class FoundThing:
     score: float | None
     """As of ``Thing``: the share of everyday words whose best fit in its scan is lower, 0 to 1. Of an image: the cosine
     with it."""
+    certainty: Certainty | None
+    """Of the answer of its scan, as of ``Answer``; None for an image."""
     position: Tensor
     """[3] float64 in the units of its scan."""
     box: OrientedBox
@@ -112,12 +116,20 @@ class FoundThing:
             "text": self.text,
             "level": self.level,
             "score": None if self.score is None else round(self.score, 4),
+            "certainty": self.certainty,
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
             "gaussians": self.n_gaussians,
             "columns": dict(self.columns),
             "field": str(self.field_path),
         }
+
+
+class FoundThings(list[FoundThing]):
+    """Things, best first."""
+
+    n_answers: int | None = None
+    """How many answer in all; None if they were not counted, as the rest cannot be better."""
 
 
 class Archive:
@@ -151,9 +163,7 @@ class Archive:
     ) -> None:
         check_arguments("Archive", folder=(folder, Path))
         self.folder, self._where_seconds = Path(folder), where_seconds
-        if self.folder.is_file():
-            problem = "is a file, expected the folder of an archive"
-            raise FileFormatError(self.folder, problem, "check the path")
+        check_folder(self.folder)
         self._encoder: Encoder | None = encoder
         self._embedder: Any = None
         self._asking = Lock()  # of encoders, which threads cannot share; conditions do not wait for it
@@ -171,13 +181,6 @@ class Archive:
             FileFormatError: a file is damaged; the error names it.
         """
         return self._kept.ask(dict)
-
-    def counts(self) -> dict[str, int]:
-        """Return the number of things per scan, as ``field.things()`` counts them; errors as of ``scans``."""
-        return {
-            name: int((scan.arrays["placed"] & (scan.arrays["counts"] >= LEAST_GAUSSIANS)).sum())
-            for name, scan in self.scans().items()
-        }
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -253,8 +256,9 @@ class Archive:
         top: int = 20,
         at_least: int | None = None,
         present_from: float | None = None,
-    ) -> list[FoundThing]:
-        """Return the things of all scans that answer a text or phrase, best first.
+    ) -> FoundThings:
+        """Return the things of all scans that answer a text or phrase, best first: by their score and by how much they
+        fit it better than everyday words do.
 
         In each scan, the things of ``field.things(question)`` answer. Fields are loaded for phrases ("mug left of the
         laptop") and for texts joined by `and` or `not`, and only where everything that they name is present.
@@ -283,26 +287,28 @@ class Archive:
             encoder = self.text_encoder()
             search = Search.of(question, encoder, self._encode(encoder), present_from)
 
-        def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
+        def find_in(scans: dict[str, Scan]) -> FoundThings:
             if not (wanted := self._wanted(where, scans)):
-                return []
+                return FoundThings()
             with self._asking:
                 index = self._kept.index(scans, search.words, search.digest)
                 asked = AskedScans(search, [*scans.values()], index)
-                answers = self._answers(asked, wanted, None if at_least else top)
+                answers, n_answers = self._answers(asked, wanted, None if at_least else top)
                 if at_least is not None:
                     of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
                     of_scan.sort(key=len, reverse=True)
                     answers = [
                         answer for group in of_scan[:top] if len(group) >= at_least for answer in group
                     ]
-                return self._found(scans, answers)
+                found = self._found(scans, answers)
+                found.n_answers = n_answers
+                return found
 
         return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
     def find_image(
         self, image: str | Path | Image.Image, where: str | None = None, top: int = 20
-    ) -> list[FoundThing]:
+    ) -> FoundThings:
         """Return the things of all scans that look most like an image, best first; their score is the cosine with it.
 
         Whether any shows the same is not judged.
@@ -327,9 +333,9 @@ class Archive:
         with self._asking:
             vector = self._embedded(pixels)
 
-        def find_in(scans: dict[str, Scan]) -> list[FoundThing]:
+        def find_in(scans: dict[str, Scan]) -> FoundThings:
             if not (wanted := self._wanted(where, scans)):
-                return []
+                return FoundThings()
             with self._asking:
                 index = self._kept.index(scans, vector[None], "")
                 alike = (
@@ -438,18 +444,22 @@ class Archive:
             raise InputError(f"{self.folder}: {problem}; ask with a text") from error
         return embed_image(pixels, self._embedder)
 
-    def _answers(self, asked: AskedScans, wanted: Wanted, top: int | None) -> list[Found]:
-        """Return the things that answer and are wanted, with ``top`` the best.
+    def _answers(self, asked: AskedScans, wanted: Wanted, top: int | None) -> tuple[list[Found], int | None]:
+        """Return the things that answer and are wanted, with ``top`` the best; and how many there are, if all scans
+        were asked.
 
         Scans whose fields cannot be asked are left out with a warning; an error if nothing is found in the others.
         """
         answers: list[Found] = []
+        n_answers: int | None = 0
         unasked: list[UnaskedScanError] = []
         for bound, ask in asked.batches():
             if top is not None and len(answers) >= top and min(answer.rank for answer in answers) >= bound:
+                n_answers = None
                 break  # all later ones are lower
             try:
-                answers += [answer for answer in ask() if _is_wanted(answer, wanted)]
+                new = [answer for answer in ask() if _is_wanted(answer, wanted)]
+                answers, n_answers = answers + new, n_answers + len(new)
             except UnaskedScanError as error:
                 unasked.append(error)
             if top is not None:
@@ -459,7 +469,7 @@ class Archive:
             warnings.warn(str(error), ScoupWarning, stacklevel=5)
         if fatal is not None:
             raise fatal
-        return answers
+        return answers, n_answers
 
     def _wanted(self, where: str | None, scans: Mapping[str, Scan]) -> Wanted:
         """Return by number the scans with things for which a condition holds, and these things."""
@@ -469,18 +479,18 @@ class Archive:
         things = matching_things(where, files, self.folder, self._where_seconds)
         return {number: set(things[name]) for number, name in enumerate(map(str, files)) if name in things}
 
-    def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
+    def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> FoundThings:
         """Return things with their places."""
         of_scene = [*scans.values()]
         places = read_places([(of_scene[one.scene], one.thing) for one in answers], self._cursor())
-        return [
+        return FoundThings(
             FoundThing(
                 scan.name, one.thing, one.text, scan.levels[int(scan.arrays["levels"][one.thing])], one.score,
-                position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
+                one.certainty, position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
             )
             for one, (position, box) in zip(answers, places, strict=True)
             for scan in [of_scene[one.scene]]
-        ]  # fmt: skip
+        )  # fmt: skip
 
 
 def _is_wanted(answer: Found, wanted: Wanted) -> bool:

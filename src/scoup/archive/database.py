@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +34,7 @@ try:
 except (ImportError, AttributeError, ValueError, OSError):
     pass
 import duckdb
-things = {}
+things, columns = {}, []
 try:
     connection = duckdb.connect(":memory:", config={"threads": 2, "memory_limit": "2GB", "temp_directory": ""})
     connection.execute(f"SET allowed_directories = [{request['folder']}]")
@@ -41,13 +42,16 @@ try:
     connection.execute("SET lock_configuration = true")
     # An expression, not a statement: it reads, and only this folder.
     every = connection.read_parquet(request["files"], union_by_name=True, filename=True)
+    columns = every.columns
     for file, thing in every.filter(request["where"]).project("filename, thing").fetchall():
         things.setdefault(file, []).append(thing)
     print(json.dumps({"things": things}))
 except (duckdb.OutOfMemoryException, MemoryError):
     sys.exit(3)
 except Exception as error:
-    print(json.dumps({"error": str(error)}))
+    known = isinstance(error, duckdb.ParserException), isinstance(
+        error, (duckdb.BinderException, duckdb.CatalogException, duckdb.ConversionException))
+    print(json.dumps({"error": str(error), "known": known, "columns": columns}))
 """
 
 
@@ -126,10 +130,22 @@ def matching_things(
             reply = json.loads(done.stdout)
             if "things" in reply:
                 return reply["things"]
-            reason = _sentence(reply["error"])
+            reason = _reason(**reply)
     except subprocess.TimeoutExpired:
         reason = f"it takes more than {seconds:g} seconds; simplify it, or pass a larger `where_seconds`"
     raise InputError(f"the condition {where!r} cannot be used: {reason}")
+
+
+def _reason(error: str, known: Sequence[bool], columns: Sequence[str]) -> str:
+    """Return why a condition was refused, from DuckDB's error, and whether that is of its syntax or its names."""
+    have = f"columns are {', '.join(name for name in columns if name != 'filename')}"
+    missing = re.search(r'Referenced column "(.*?)" not found', error)
+    if missing:
+        return f"there is no column {missing[1]}; {have}"
+    if any(known):
+        what = "it is not SQL" if known[0] else "its functions or types do not fit the columns"
+        return f"{what}; {have}, and texts stand in single quotes"
+    return _sentence(error)
 
 
 def _sentence(text: str) -> str:

@@ -20,7 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.archive.scan_files import ENDING, Scan, read_scans
+from scoup.archive.scan_files import Scan, read_scans
+from scoup.archive.scan_header import ENDING, file_of, scan_names
 from scoup.base import FileFormatError, MissingFileError, WriteError, locked, refuse_pointer
 from scoup.query import ThingIndex
 
@@ -32,17 +33,6 @@ MOST_TRIED = 3  # attempts that require all scans to be unchanged
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Found = TypeVar("Found")
-
-
-def scan_names(folder: Path) -> list[str]:
-    """Return the names of the scans in a folder, in order."""
-    names = os.listdir(folder) if folder.is_dir() else []
-    return sorted(name[: -len(ENDING)] for name in names if name.endswith(ENDING) and name[0] != ".")
-
-
-def file_of(folder: Path, name: str) -> Path:
-    """Return the file of a scan."""
-    return folder / f"{name}{ENDING}"
 
 
 def vector_bytes(vectors: Tensor) -> bytes:

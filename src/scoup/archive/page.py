@@ -15,13 +15,15 @@ from scoup.field import relative_place
 from scoup.pictures import Picture
 from scoup.query import Thing, draw_things
 
-_FOUND = """{% extends "page" %}{% block body %}<ul>
+_FOUND = """{% extends "page" %}{% macro cards(found) %}<ul>
 {% for thing, picture, link in found %}
 <li>{% if picture is not none %}<img alt="" src="{{ picture }}">{% endif %}<b>{{ thing.text }}</b> <small>
-{{- "" if thing.score is none else "%.2f" % thing.score }}<br>
+{{- "" if thing.score is none else "%.2f" % thing.score }} {{ thing.certainty or "" }}<br>
 {%- if link %}<a href="{{ link }}">{% endif %}{{ thing.describe() }}{% if link %}</a>{% endif %}
 {%- for name, value in thing.columns.items() %}<br>{{ name }} = {{ value }}{% endfor %}</small></li>
-{% endfor %}</ul>{% endblock %}"""
+{% endfor %}</ul>{% endmacro %}{% block body %}{{ cards(found) }}
+{% if doubtful %}<details><summary>{{ doubtful | length }} doubtful</summary>{{ cards(doubtful) }}</details>{% endif %}
+{% endblock %}"""
 
 
 def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
@@ -40,7 +42,10 @@ def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
         for number, picture in _pictures([thing for thing in results if thing.scan == scan])
     }
     things = [(thing, pictures.get((thing.scan, thing.thing)), _link(thing, path)) for thing in results]
-    return html(_FOUND, title=title, found=things)
+    doubtful = [card for card in things if card[0].certainty == "doubtful"]
+    return html(
+        _FOUND, title=title, found=[card for card in things if card not in doubtful], doubtful=doubtful
+    )
 
 
 def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:

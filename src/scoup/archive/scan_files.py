@@ -6,14 +6,11 @@ from __future__ import annotations
 
 import base64
 import json
-import math
-import re
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import torch
 from safetensors import SafetensorError
@@ -21,14 +18,21 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from scoup.archive.database import call, connect, quoted
+from scoup.archive.scan_header import (
+    COLUMNS,
+    FORMAT,
+    OWN_TYPES,
+    VERSION,
+    OwnColumns,
+    check_columns,
+    checksum,
+    headers,
+    read_each,
+)
 from scoup.base import (
     FileFormatError,
-    InputError,
-    MissingFileError,
     WriteError,
     atomic_path,
-    check_format_version,
-    refuse_pointer,
 )
 from scoup.field import NO_THING, NameTable, ThingTable, place_of
 from scoup.query import OrientedBox, Thing, ThingIndex
@@ -36,33 +40,7 @@ from scoup.query import OrientedBox, Thing, ThingIndex
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-FORMAT, VERSION = "scoup scan", 1
-"""What the metadata of a Parquet file says under the key ``scoup``. Raise the version when the rules of
-``scoup.query.thing_judge`` change: the arrays depend on them."""
-ENDING = ".parquet"
-OwnColumns: TypeAlias = "Mapping[str, str | int | float]"
-"""What the user says of a scan: name of the column -> value in every row."""
-Item = TypeVar("Item")
-Found = TypeVar("Found")
-
-_COLUMNS = {
-    "scan": "VARCHAR",
-    "thing": "INTEGER",  # its number in the field
-    "row": "BIGINT",  # of its vector in the matrix
-    "level": "VARCHAR",
-    "parent": "INTEGER",
-    # Three numbers each, nine for the axes, row by row; NULL for things without a usable Gaussian.
-    "position": "DOUBLE[]",
-    "box_centre": "DOUBLE[]",
-    "box_axes": "DOUBLE[]",
-    "box_extent": "DOUBLE[]",
-    "gaussians": "INTEGER",
-    "regions": "INTEGER",
-    "stability": "FLOAT",
-    "names": "STRUCT(name VARCHAR, vote FLOAT)[]",  # votes of a model with words
-}
 _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent": (3,)}
-_OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
 _PLAIN = {"field": str, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
 _PER_THING = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "placed")
@@ -122,36 +100,21 @@ def arrays_of(index: ThingIndex, names: NameTable | None, placed: Tensor) -> dic
 
 
 def read_scans(files: Sequence[Path], connection: DuckDBPyConnection) -> list[Scan]:
-    """Read the metadata of scans.
-
-    Raises:
-        FileFormatError: a file is damaged, or not a scan.
-        MissingFileError: it is not there.
-    """
+    """Read the metadata of scans; errors as of ``read_each``."""
 
     def read(files: Sequence[Path]) -> list[Scan]:
-        query = "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'"
-        names = {"files": [str(file) for file in files]}
-        headers = dict(call(connection, lambda opened: opened.execute(query, names).fetchall()))
-        return [_scan(file, json.loads(headers.get(str(file), b"{}"))) for file in files]
+        return [*map(_scan, files, headers(files, connection))]
 
-    return _read(read, files, lambda file: file)
+    return read_each(read, files, lambda file: file)
 
 
 def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
-    if header.get("format") != FORMAT:
-        remedy = "add its field again, or remove the file"
-        raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
-    check_format_version(file, header["version"], VERSION)
-    if "arrays" not in header:
-        raise FileFormatError(file, "is a scan of an earlier version of SCOUP", "add its field again")
-    if _checksum(header) != header["checksum"]:
-        raise ValueError("checksum")
     plain = {name: kind(header[name]) for name, kind in _PLAIN.items()}
-    texts, arrays = (
-        (tuple(map(str, header[name])) for name in ("levels", "texts")),
-        load(base64.b64decode(header["arrays"])),
-    )
+    try:
+        arrays = load(base64.b64decode(header["arrays"]))
+    except SafetensorError as error:
+        raise ValueError(f"its arrays: {error}") from error
+    texts = (tuple(map(str, header[name])) for name in ("levels", "texts"))
     levels, columns = next(texts), check_columns(header["columns"])
     _check_arrays(arrays, len(levels))
     scan = Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
@@ -186,7 +149,7 @@ def _check_arrays(arrays: Mapping[str, Tensor], n_levels: int) -> None:
 def read_places(
     wanted: Sequence[tuple[Scan, int]], connection: DuckDBPyConnection
 ) -> list[tuple[Tensor, OrientedBox]]:
-    """Read positions [3] and boxes of things, by scan and number; errors as of ``read_scans``."""
+    """Read positions [3] and boxes of things, by scan and number; errors as of ``read_each``."""
 
     def read(wanted: Sequence[tuple[Scan, int]]) -> list[tuple[Tensor, OrientedBox]]:
         query = (
@@ -206,32 +169,7 @@ def read_places(
             located.append((position, OrientedBox(*box)))
         return located
 
-    return _read(read, wanted, lambda pair: pair[0].file)
-
-
-def _read(
-    read: Callable[[Sequence[Item]], list[Found]], items: Sequence[Item], file_of: Callable[[Item], Path]
-) -> list[Found]:
-    """Read all items together; if that fails, one by one, and name the file that is damaged."""
-    try:
-        return read(items) if items else []
-    except FileFormatError:
-        raise
-    except (SafetensorError, ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, TypeError,
-            ValueError) as error:  # fmt: skip
-        if len(items) > 1:
-            for item in items:
-                _read(read, [item], file_of)
-            return read(items)
-        file = file_of(items[0])
-        if not file.is_file():
-            raise MissingFileError.of(file, "a scan of an archive") from error
-        refuse_pointer(file)
-        if isinstance(error, OSError) and error.errno:
-            raise FileFormatError.unreadable(file, error) from error
-        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
-        remedy = "add its field again, or remove the file"
-        raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", remedy) from error
+    return read_each(read, wanted, lambda pair: pair[0].file)
 
 
 def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
@@ -267,9 +205,9 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
         "stability": table.stability.tolist(),
         "names": names,
     }
-    columns = ", ".join(f"unnest(${name}::{kind}[]) AS {name}" for name, kind in _COLUMNS.items())
+    columns = ", ".join(f"unnest(${name}::{kind}[]) AS {name}" for name, kind in COLUMNS.items())
     extra = "".join(
-        f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in scan.columns.items()
+        f", $own_{name}::{OWN_TYPES[type(value)]} AS {name}" for name, value in scan.columns.items()
     )
     given_values = {**values, **{f"own_{name}": value for name, value in scan.columns.items()}}
     metadata = quoted(json.dumps(_header(scan)))
@@ -290,29 +228,4 @@ def _header(scan: Scan) -> dict[str, Any]:
         **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
         "arrays": base64.b64encode(data).decode(),
     }
-    return {**header, "checksum": _checksum(header)}
-
-
-def _checksum(header: Mapping[str, Any]) -> int:
-    """Return the CRC-32 of a header without its checksum."""
-    rest = {name: value for name, value in header.items() if name not in ("arrays", "checksum")}
-    return zlib.crc32(header["arrays"].encode(), zlib.crc32(json.dumps(rest, sort_keys=True).encode()))
-
-
-def check_columns(columns: Any) -> OwnColumns:
-    """Refuse names and values that are no columns of a user's."""
-    for name, value in dict(columns).items():
-        if not re.fullmatch(r"[a-z][a-z0-9_]{0,62}", name) or name in _COLUMNS or name == "filename":
-            raise InputError(
-                f"column {str(name)[:80]!r}: expected lower-case letters, digits and _, but none of "
-                f"{', '.join(_COLUMNS)}"
-            )
-        if type(value) not in _OWN_TYPES:
-            raise InputError(f"column {name}: expected a text or a number, got {type(value).__name__}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"column {name}: expected a finite number, got {value}")
-        if isinstance(value, int) and not -(2**63) <= value < 2**63:
-            raise InputError(f"column {name}: expected an integer of at most 64 bits")
-        if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
-            raise InputError(f"column {name}: expected a text of valid Unicode, got {value!r}")
-    return columns
+    return {**header, "checksum": checksum(header)}

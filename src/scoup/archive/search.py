@@ -19,6 +19,7 @@ from scoup.field import NameTable, ThingTable
 from scoup.models import TextEncoder
 from scoup.query import (
     AskedThings,
+    Certainty,
     Expression,
     LanguageField,
     Question,
@@ -43,6 +44,7 @@ class Found(NamedTuple):
     text: str
     score: float | None
     rank: float  # among the things of all scans
+    certainty: Certainty | None = None  # of the answer of its scan
 
 
 class UnaskedScanError(InputError):
@@ -125,7 +127,8 @@ class AskedScans:
             scores = self._asked.scores[text].each(fits, *zip(*keys, strict=True))
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for key, score, rank in zip(keys, scores, ranks, strict=True):
-                ranked[key] = Found(*key, text, score, rank)
+                verdict = self._asked.verdicts[text][key[0]]
+                ranked[key] = Found(*key, text, score, rank, verdict.certainty)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
         return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]
 

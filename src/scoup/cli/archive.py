@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from scoup.base import InputError, check_output, counted, write_text
+from scoup.base import InputError, check_output, counted, listed, write_text
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Model,
@@ -33,7 +33,7 @@ class ScanOptions:
     list_scans: Annotated[bool, arg(name="list")] = False
     """List the scans."""
     columns: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
-    """With --add, a column of the scans for --where, such as floor=2; repeat it for several."""
+    """With --add, a column of the scans for --where, such as floor=2; once per column."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +74,6 @@ class SearchArchive:
 
     def run(self, console: Console) -> None:
         """Add, remove, list, search."""
-        from scoup.archive import Archive
-
         scan, search = self.scan, self.search
         is_search = self.question is not None or search.image is not None
         changes = bool(scan.add), bool(scan.remove), scan.list_scans
@@ -86,7 +84,11 @@ class SearchArchive:
             raise InputError("--set is for --add")
         if search.page is not None and not is_search:
             raise InputError("--page is for TEXT and --image")
+        if scan.list_scans:
+            return _list(self.folder, console, True)
         check_number("--where-seconds", search.where_seconds, 0.001, 86_400)
+        from scoup.archive import Archive  # loads torch, which a list does not need
+
         archive = Archive(self.folder, search.text, search.where_seconds)
         if is_search:
             return self._search(archive, console)
@@ -100,7 +102,7 @@ class SearchArchive:
                 progress("add", number, len(scan.add))
         for name in scan.remove:
             archive.remove(name)
-        return _list(archive, console, scan.list_scans)
+        return _list(self.folder, console, False)
 
     def _search(self, archive: Archive, console: Console) -> None:
         search, overwrite = self.search, self.common.overwrite
@@ -114,11 +116,25 @@ class SearchArchive:
         else:
             things = archive.find_image(search.image, search.where, search.top)
         counts = Counter(thing.scan for thing in things)
+        doubtful = [thing for thing in things if thing.certainty == "doubtful"]
         for thing in things:
-            score = "" if thing.score is None else f"{thing.score:.2f} "
-            console.say(f"{score}{thing.text}: {thing.describe()}")
+            if thing not in doubtful:
+                score = "" if thing.score is None else f"{thing.score:.2f} "
+                certainty = "" if thing.certainty is None else f", {thing.certainty}"
+                console.say(f"{score}{thing.text}{certainty}: {thing.describe()}")
+        if doubtful:
+            places = listed([f"{thing.scan} (thing {thing.thing})" for thing in doubtful], 5)
+            more = "more " * (len(doubtful) < len(things))
+            console.say(f"{len(doubtful)} {more}{'is' if len(doubtful) == 1 else 'are'} doubtful: {places}")
         total = f"{counted(len(things), 'thing')} in {counted(len(counts), 'scan')}"
-        console.say(f"{question}: {total if things else 'nothing found'}")
+        if things.n_answers != len(things) and search.at_least is None:
+            total += f", the best of {things.n_answers or 'more'}"
+        order = (
+            ""
+            if len(doubtful) == len(things) or search.image
+            else "; best first, by score and by the lead over everyday words"
+        )
+        console.say(f"{question}: {total + order if things else 'nothing found'}")
         if page is not None:
             from scoup.archive import results_page
 
@@ -145,17 +161,18 @@ def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
     return columns
 
 
-def _list(archive: Archive, console: Console, in_full: bool) -> None:
-    records, counts = archive.scans(), archive.counts()
-    if in_full:
-        for name, record in records.items():
-            pairs = ((key, " ".join(str(value).split())) for key, value in record.columns.items())
-            columns = "".join(f", {key} = {value}" for key, value in pairs)
-            console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{columns}")
-    things = counted(sum(counts.values()), "thing")
-    console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {things}")
-    scans = [
-        {"scan": name, "things": counts[name], "field": record.field_path, "columns": dict(record.columns)}
-        for name, record in records.items()
+def _list(folder: Path, console: Console, in_full: bool) -> None:
+    from scoup.archive import list_scans
+
+    scans = list_scans(folder)
+    for scan in scans if in_full else ():
+        pairs = ((key, " ".join(str(value).split())) for key, value in scan.columns.items())
+        columns = "".join(f", {key} = {value}" for key, value in pairs)
+        console.say(f"{scan.name}: {counted(scan.things, 'thing')} of {scan.field_path}{columns}")
+    things = counted(sum(scan.things for scan in scans), "thing")
+    console.say(f"{folder}: {counted(len(scans), 'scan')}, {things}")
+    records = [
+        {"scan": scan.name, "things": scan.things, "field": scan.field_path, "columns": dict(scan.columns)}
+        for scan in scans
     ]
-    console.result({"archive": archive.folder, "scans": scans})
+    console.result({"archive": folder, "scans": records})

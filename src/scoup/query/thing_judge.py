@@ -29,7 +29,7 @@ from scoup.query import constants
 from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things
 from scoup.query.named import Named, find_named, joined
-from scoup.query.presence import TextScore, is_present, text_scores
+from scoup.query.presence import Certainty, TextScore, certainty, is_present, text_scores
 from scoup.query.question import Question, TextVectors, check_encoder, near_names
 
 NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
@@ -64,6 +64,11 @@ class Verdict(NamedTuple):
     score: float | None
     presence: bool
     runner_up: RunnerUp | None
+
+    @property
+    def certainty(self) -> Certainty | None:
+        """As of ``Answer``."""
+        return certainty(self.score, self.presence)
 
 
 @dataclass(frozen=True, eq=False)
