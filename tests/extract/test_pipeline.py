@@ -22,10 +22,12 @@ from scoup.extract import (
     find_photographs,
     open_embedder,
     open_segmenter,
+    pipeline,
     registry,
 )
 from scoup.extract.masks import paint
 from scoup.extract.photographs import Photograph
+from scoup.extract.pipeline import embed_masks
 from scoup.extract.settings import MaskSettings
 from scoup.io import RegionManifest
 from scoup.io.regions.manifest import MANIFEST, write_manifest
@@ -205,6 +207,40 @@ def test_hidden_masks_are_dropped_where_wanted(tmp_path: Path) -> None:
         item = scoup.load_regions(tmp_path / str(drop), cameras).load("0.png", "s")
         assert len(item.embeddings) == rows
         assert item.labels.unique().tolist() == ([-1, 0, 1] if drop else [-1, 1, 2])
+
+
+class Counted(PlainColors):
+    """Counts crops, and takes a second for each by a clock of its own."""
+
+    crops = 0
+    now = 0.0
+
+    def embed(self, crops: torch.Tensor) -> torch.Tensor:
+        self.crops += len(crops)
+        self.now += len(crops)
+        return super().embed(crops)
+
+
+@pytest.mark.parametrize(("cut_last", "crops"), [(True, 4), (False, 3)])
+def test_a_region_of_two_levels_is_embedded_once(cut_last: bool, crops: int) -> None:
+    image = smooth_image(40, 60)
+    dense = np.zeros((5, 40, 60), bool)
+    dense[0, :20, :30] = dense[1, 20:, :30] = dense[2, :20, :30] = dense[3, 20:, 1:30] = True
+    dense[4, :, 30:] = True
+    masks = {"s": Masks.from_dense(dense[:2]), "m": Masks.from_dense(dense[2:])}
+    embedder = Counted()
+    shared = embed_masks(image, masks, embedder, cut_last)
+    assert embedder.crops == crops  # of IoU 1 and .97
+    for level, level_masks in masks.items():
+        (alone,) = embed_masks(image, {level: level_masks}, PlainColors(), cut_last).values()
+        assert ((shared[level] * alone).sum(1) > 0.99).all()
+    assert embed_masks(image, {"s": Masks.from_dense(dense[:0])}, embedder)["s"].shape == (0, embedder.dim)
+
+
+def test_how_long_crops_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    embedder = Counted()
+    monkeypatch.setattr(pipeline.time, "perf_counter", lambda: embedder.now)
+    assert pipeline.crops_minutes(embedder, 3) == 3 * 100 / 60  # a second for each crop
 
 
 def test_memory_does_not_grow_with_the_number_of_photographs(tmp_path: Path) -> None:

@@ -119,6 +119,7 @@ class Extract:
         from scoup.cli.views import is_splat
         from scoup.extract import (
             PhotographChoice,
+            crops_minutes,
             extract,
             find_photographs,
             mask_settings,
@@ -155,6 +156,12 @@ class Extract:
         check(embedder.dim)
         views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
+        minutes = crops_minutes(embedder, len(part.of(chosen)))
+        if minutes > 5 and not embedder.name.startswith("open_clip:"):
+            console.say(
+                f"one crop per region will take about {minutes:.0f} minutes; --embedder dense:{embedder.name} makes "
+                "one pass per photograph, with somewhat other answers (docs/extract.md)"
+            )
         with _extracting(console, out, part) as progress:
             report = extract(
                 chosen, out, segmenter, embedder, MAX_HEIGHT, overwrite, part, progress, views is not None

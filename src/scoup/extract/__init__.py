@@ -8,7 +8,7 @@ from scoup.extract.masks import Masks
 from scoup.extract.own_views import ViewsFolder, choose_cameras, save_views
 from scoup.extract.photograph_choice import PhotographChoice, choose_photographs
 from scoup.extract.photographs import Photograph, find_photographs, report_masks
-from scoup.extract.pipeline import ExtractReport, embed_image, extract, lacks_views
+from scoup.extract.pipeline import ExtractReport, crops_minutes, embed_image, extract, lacks_views
 from scoup.extract.registry import model_tables, open_embedder, open_pair, open_segmenter
 from scoup.extract.settings import mask_settings
 
@@ -20,6 +20,7 @@ __all__ = [
     "ViewsFolder",
     "choose_cameras",
     "choose_photographs",
+    "crops_minutes",
     "embed_image",
     "extract",
     "extract_concepts",
