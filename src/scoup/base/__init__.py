@@ -38,6 +38,7 @@ from scoup.base.registry import Entry, Registry
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array, temporary_folder
 from scoup.base.sealed_file import SealedFile
 from scoup.base.texts import (
+    as_json,
     brief,
     counted,
     listed,
@@ -69,6 +70,7 @@ __all__ = [
     "SealedFile",
     "UnknownNameError",
     "WriteError",
+    "as_json",
     "atomic_file",
     "atomic_path",
     "brief",

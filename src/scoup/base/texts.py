@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, TypeVar
 
 _LONGEST = 60  # characters of a value that is not a tensor
@@ -105,3 +107,23 @@ def rounded_vector(values: Sequence[float], decimals: int = 3) -> list[float]:
     largest = max((abs(value) for value in values), default=0.0)
     digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
     return [round(value, max(decimals, digits)) for value in values]
+
+
+def as_json(record: Any, indent: int | None = 2) -> str:
+    """Return a record as JSON, which has no NaN and no infinity: they are null; without ``indent`` in one line."""
+    separators = (",", ":") if indent is None else None
+    plain = _plain(record)
+    return json.dumps(
+        plain, indent=indent, separators=separators, ensure_ascii=indent is not None, allow_nan=False
+    )
+
+
+def _plain(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value

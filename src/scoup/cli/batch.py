@@ -19,7 +19,16 @@ from typing import Annotated, Any, TypeAlias
 
 import tyro
 
-from scoup.base import InputError, MissingFileError, ScoupError, counted, html, reserved_output, write_text
+from scoup.base import (
+    InputError,
+    MissingFileError,
+    ScoupError,
+    as_json,
+    counted,
+    html,
+    reserved_output,
+    write_text,
+)
 from scoup.cli.build import Build
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
@@ -160,7 +169,7 @@ class Batch:
 
     def _write(self, records: dict[str, dict[str, Any]]) -> None:
         ordered = dict(sorted(records.items()))
-        write_text(self.out / REPORT, json.dumps({"scans": ordered}, indent=1) + "\n", overwrite=True)
+        write_text(self.out / REPORT, as_json({"scans": ordered}) + "\n", overwrite=True)
         write_text(self.out / PAGE, html(_SCANS, title="Scans", scans=ordered), overwrite=True)
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import errno
-import json
-import math
 import os
 import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TextIO
 
 from scoup.base import (
@@ -21,6 +18,7 @@ from scoup.base import (
     ScoupError,
     ScoupWarning,
     WriteError,
+    as_json,
     no_progress,
     printable,
 )
@@ -248,19 +246,3 @@ def check_device(device: str) -> None:
         usable = False
     if not usable:
         raise InputError(f"--device {device}: this torch ({torch.__version__}) has no such device; use cpu")
-
-
-def as_json(record: Any) -> str:
-    """Return a record as JSON, which has no NaN and no infinity: they are null."""
-    return json.dumps(_plain(record), indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, Path) else value

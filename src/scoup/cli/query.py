@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base import InputError, check_output, counted, reported, staged
-from scoup.cli.console import Console, as_json, command
+from scoup.base import InputError, as_json, check_output, counted, reported, staged
+from scoup.cli.console import Console, command
 from scoup.cli.options import (
     AllCommon,
     FieldFile,

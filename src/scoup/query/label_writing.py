@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,16 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from scoup.base import InputError, Progress, atomic_file, no_progress, spread, unique_slugs, write_text
+from scoup.base import (
+    InputError,
+    Progress,
+    as_json,
+    atomic_file,
+    no_progress,
+    spread,
+    unique_slugs,
+    write_text,
+)
 from scoup.field import Field
 from scoup.io import PlyTable, UsdThing, save_png, write_usd
 from scoup.pictures import Picture, label_colors, region_overlay
@@ -87,7 +95,7 @@ class LabelFiles:
         if "sidecar" in outputs:
             with atomic_file(folder / SIDECAR[0]) as stream:
                 np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
-            write_text(folder / SIDECAR[1], json.dumps(labels.to_dict(), indent=1) + "\n")
+            write_text(folder / SIDECAR[1], as_json(labels.to_dict()) + "\n")
         if "ids" in outputs:
             rows = SplatTable.of(field, geometry)
             for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):

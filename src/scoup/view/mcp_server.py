@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as Pictures
 
-from scoup.base import VERSION, ScoupError
+from scoup.base import VERSION, ScoupError, as_json
 from scoup.pictures import Picture
 from scoup.view.mcp_http import serve_http
 from scoup.view.scene_tools import SceneTools
@@ -61,7 +61,7 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
                 raise ToolError(_without_folders(str(error), tools)) from error
             if isinstance(reply, np.ndarray):
                 return Image(data=_png(reply), format="png")
-            return json.dumps(reply, ensure_ascii=False, separators=(",", ":"))  # models read every character
+            return as_json(reply, indent=None)  # models read every character
 
         server.tool(structured_output=False)(tool)
 
