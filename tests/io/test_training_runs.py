@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import zipfile
 from dataclasses import replace
 from functools import partial
@@ -110,9 +111,11 @@ def test_the_third_scale_of_2dgs(
     with warns(ScoupWarning) if flat and not config else contextlib.nullcontext():
         found = load_gaussians(tmp_path).scales
     torch.testing.assert_close(found[:, :2], given.scales[:, :2])
-    torch.testing.assert_close(found[:, 2], torch.full((60,), 1e-6) if flat else logs[:, 2].exp())
-    save_checkpoint(given, tmp_path / "ckpts" / name, scales=logs[:, :2])
-    torch.testing.assert_close(load_gaussians(tmp_path).scales[:, 2], torch.full((60,), 1e-6))
+    thin = 3e-4 * given.scales[:, :2].amin(1)
+    torch.testing.assert_close(found[:, 2], thin if flat else logs[:, 2].exp())
+    for unit in (1, 1000, 0.001):  # as flat in any
+        save_checkpoint(given, tmp_path / "ckpts" / name, scales=logs[:, :2] + math.log(unit))
+        torch.testing.assert_close(load_gaussians(tmp_path).scales[:, 2] / unit, thin, rtol=1e-4, atol=0)
 
 
 def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ WITHOUT_SH = (
     "has no SH colours",
     "it was trained with appearance features (such as splatfacto-w); export a PLY with its own script",
 )
-LOG_THIN = math.log(1e-6)  # the third scale of flat Gaussians with two, as viewers take it
+_LOG_THIN = math.log(3e-4)  # third scale of flat Gaussians, by the smaller of two; viewers take 1e-6 in any unit
 _LEAST_JUDGED = 16  # Gaussians
 _HUGE = 0.05  # of the extent, for the median Gaussian
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
@@ -84,7 +84,7 @@ def three_logs(logs: np.ndarray) -> np.ndarray:
     """Return [N, 3] scales of [N, 1 to 3]: one is that of all axes, two are those of a flat Gaussian."""
     if logs.shape[1] == 1:
         return np.repeat(logs, 3, axis=1)
-    return logs if logs.shape[1] == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=LOG_THIN)
+    return logs if logs.shape[1] == 3 else np.c_[logs, logs.min(1) + _LOG_THIN]
 
 
 def trained_gaussians(
