@@ -23,7 +23,7 @@ from scoup.base import InputError, MissingFileError, ScoupError, counted, html, 
 from scoup.cli.build import Build
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
-from scoup.cli.options import AllCommon, Model, arg, check_number
+from scoup.cli.options import AllCommon, Model, PhotographMasks, arg, check_number
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -60,6 +60,7 @@ class Batch:
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
+    hidden: Annotated[PhotographMasks, arg(name="photograph mask")] = PhotographMasks()
     method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     common: AllCommon = AllCommon()
 
@@ -154,7 +155,7 @@ class Batch:
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.common.device, "--overwrite"]
-        for option, value in passed_options(self.method).items():
+        for option, value in {**passed_options(self.hidden), **passed_options(self.method)}.items():
             passed += [option] if value is True else [option, str(value)]
         return passed
 
