@@ -20,8 +20,6 @@ from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.ply import FORMAT as PLY
-from scoup.io.splats.ply import read_ply
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Cameras, Gaussians
 
@@ -35,7 +33,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
         path: a file of any splat format that is read (docs/formats.md); the output folder of a training by nerfstudio
             (splatfacto), by gsplat or by Inria's code (the last step is taken); or a folder with one splat.
         keep_axes: do not turn formats that name their axes, such as .spz and glTF, to those of 3DGS.
-        activated: of a PLY whose exporter wrote scales and opacities as they are, not as logarithms and logits.
+        activated: of a PLY or checkpoint that holds scales and opacities as they are, not as logarithms and logits.
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -53,9 +51,11 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
     check_arguments("load_gaussians", path=(path, Path))
     source = splat_source(path)
     assert source.kind.read is not None
-    if activated and source.kind is not PLY:
-        raise InputError(f"{source.path}: `activated=True` is for PLY files")
-    gaussians = read_ply(source.path, True) if activated else source.kind.read(source.path)
+    if activated and not source.kind.keeps_logs:
+        raise InputError(
+            f"{source.path}: `activated=True` is for PLY files and checkpoints; others hold no logarithms"
+        )
+    gaussians = source.kind.read(source.path, *([True] if activated else []))
     if not len(gaussians):
         raise FileFormatError(
             source.path, "contains no Gaussians with finite values", "export the splat again"

@@ -67,7 +67,29 @@ def unit_quats(raw: np.ndarray) -> np.ndarray:
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
 
 
-def find_activated(means: np.ndarray, scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
+def logs_and_logits(
+    path: Path, means: np.ndarray, scales: np.ndarray, opacities: np.ndarray, activated: bool | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of stored scales [N, 1 to 3] and logits of stored opacities [N]; ``activated`` as of
+    ``PlyTable.gaussians``."""
+    if activated is False and any(found := _find_activated(means, scales, opacities)):
+        names = " and ".join(name for name, one in zip(("scales", "opacities"), found, strict=True) if one)
+        raise FileFormatError(
+            path,
+            f"seems to store {names} as they are, not as logarithms and logits (scales {np.nanmin(scales):.3g} to "
+            f"{np.nanmax(scales):.3g}, opacities {np.nanmin(opacities):.3g} to {np.nanmax(opacities):.3g})",
+            f"if so, rewrite it: scoup convert {path} OUT.ply `activated=True`",
+        )
+    with np.errstate(all="ignore"):
+        if activated and np.nanmin(scales, initial=0) >= 0:
+            scales = np.log(scales.astype(np.float64))
+        if activated and np.nanmin(opacities, initial=0) >= 0 and np.nanmax(opacities, initial=1) <= 1:
+            opacities = opacities.astype(np.float64)
+            opacities = np.log(opacities) - np.log1p(-opacities)
+    return scales, opacities
+
+
+def _find_activated(means: np.ndarray, scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
     """Return whether stored scales [N, S], and opacities [N], have values that logarithms and logits of a trained splat
     do not have, but lengths and opacities do."""
     finite = np.isfinite(scales).all(1) & np.isfinite(opacities) & np.isfinite(means).all(1)
@@ -97,14 +119,16 @@ def trained_gaussians(
     logits: np.ndarray,
     sh: np.ndarray,
     what: str,
+    activated: bool | None = None,
 ) -> tuple[Gaussians, np.ndarray]:
-    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, logarithms of scales, logits of opacities.
+    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, ``logs_and_logits``.
     ``what`` the file should be is for the FileFormatError of harmonics [N, B, 3] of no degree."""
     if logs.shape[1] not in (1, 2, 3):
         raise FileFormatError(path, f"has {logs.shape[1]} scales per Gaussian", f"it should be {what}")
     if sh.shape[1] not in SH_BASES:
         problem = f"has {sh.shape[1] - 1} coefficients above SH degree 0, no whole SH degree"
         raise FileFormatError(path, problem, f"it should be {what}")
+    logs, logits = logs_and_logits(path, means, logs, logits, activated)
     return keep_finite(
         means,
         unit_quats(quats),
