@@ -144,10 +144,12 @@ class Batch:
 
     def _problem(self, scan: Path, out: Path) -> str:
         """Return why a scan cannot be built, as far as that shows before the long work of any; "" if nothing does."""
+        from scoup.uplift import fitting_scene
+
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the build warns again
-                Build(scene=scan, out=out, method=self.method, common=self.common).check()
+                Build(scene=fitting_scene(scan), out=out, method=self.method, common=self.common).check()
         except ScoupError as error:
             return with_options(str(error))
         return ""

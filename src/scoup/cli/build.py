@@ -71,9 +71,13 @@ class Build:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
         from scoup.field import doubt_of
+        from scoup.uplift import fitting_scene
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
+        model = fitting_scene(self.scene, self.parts.gaussians, self.parts.images)
+        if model != self.scene:
+            return replace(self, scene=model).run(console)
         if self.region_sums.sums is not None and self.region_sums.keep_sums is not None:
             raise InputError(
                 "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"

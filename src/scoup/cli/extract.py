@@ -120,11 +120,13 @@ class Extract:
         )
         from scoup.io import ScenePaths, load_gaussians
         from scoup.models import open_concepts
+        from scoup.uplift import fitting_scene
 
         scene = self._scene()
         if is_splat(scene):
             remedy = f"{command('build', scene)} makes views of it first"
             raise InputError(f"{scene}: is a splat, expected photographs; {remedy}")
+        scene = fitting_scene(scene, self.photographs.gaussians, self.photographs.images)
         words = self._words()  # a mistake shows before the long work
         segmenter_name, preset = self._masks(console, self.common.device)
         settings = mask_settings(preset, points_per_side=self.masks.points_per_side)

@@ -13,7 +13,7 @@ import numpy as np
 from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
-from scoup.io.cameras.colmap import count_images
+from scoup.io.cameras.colmap import model_images
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
@@ -173,11 +173,11 @@ def _posed_cameras(
     path: str | Path, distorted: Distorted, dataparser_transforms: str | Path | None = None
 ) -> tuple[CameraSource, Cameras]:
     """Return the cameras of a scene in the frame of its splat."""
-    source = find_cameras(path)
+    source = _one_source(path)
     if source.others:
-        others = ", ".join(f"{other} ({count_images(other):,})" for other in source.others)
+        others = ", ".join(f"{other} ({len(model_images(other)):,})" for other in source.others)
         warnings.warn(
-            f"{source.path}: used, with {counted(count_images(source.path), 'image')}, and not {others}; to use "
+            f"{source.path}: used, with {counted(len(model_images(source.path)), 'image')}, and not {others}; to use "
             "another COLMAP model, pass its folder",
             ScoupWarning,
             stacklevel=2,
@@ -190,6 +190,19 @@ def _posed_cameras(
         transforms = source.path if source.format == "nerfstudio" else None
         cameras = in_trained_frame(cameras, frame, transforms)
     return source, cameras
+
+
+def _one_source(path: str | Path) -> CameraSource:
+    """Return the source of cameras; a FileFormatError where models of COLMAP have as many images."""
+    source = find_cameras(path)
+    if source.rivals:
+        problem = (
+            f"has as many images ({len(model_images(source.path)):,}) as {', '.join(map(str, source.rivals))}"
+        )
+        raise FileFormatError(
+            source.path, problem, "pass the folder of the model in whose frame the splat is"
+        )
+    return source
 
 
 def _means_of(results: Path) -> np.ndarray | None:
@@ -206,7 +219,7 @@ def camera_photographs(
     """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
     looked for where there are none. Images of another shape than their cameras are refused, by their headers alone.
     Arguments as of ``load_cameras``."""
-    source = find_cameras(path)
+    source = _one_source(path)
     return image_files(_read(source, "undistort"), source.roots, images)
 
 
