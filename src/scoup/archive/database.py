@@ -111,8 +111,9 @@ def matching_things(
     Raises:
         InputError: the condition cannot be used, or takes too long or too much memory.
     """
-    request = {"where": where, "files": [str(file.absolute()) for file in files], "folder": quoted(str(folder.absolute())),
-               "seconds": seconds, "memory": _MEMORY}  # fmt: skip
+    paths = [str(file.absolute()) for file in files]
+    request = {"where": where, "files": paths, "folder": quoted(str(folder.absolute())), "seconds": seconds,
+               "memory": _MEMORY}  # fmt: skip
     try:
         done = subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{_PROGRAM}"],
