@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
