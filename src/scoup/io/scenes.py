@@ -20,7 +20,6 @@ from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Cameras, Gaussians
 
 _COARSE = 0.1  # step of float32 as a share of the median scale, beyond which positions are wrong
@@ -63,7 +62,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
     _check_precision(source.path, gaussians)
     trained = os.path.isdir(path) and trained_antialiased(Path(path))
     gaussians = replace(gaussians, antialiased=gaussians.antialiased or trained)
-    return _in_axes(gaussians, source.kind, keep_axes)
+    return source.kind.turned(gaussians) if keep_axes else gaussians  # the half-turn of its reader, undone
 
 
 def _check_precision(path: Path, gaussians: Gaussians) -> None:
@@ -79,11 +78,6 @@ def _check_precision(path: Path, gaussians: Gaussians) -> None:
             f"Gaussians have a median scale of {scale:.2g}",
             f"move splat and cameras by one offset, for example ({middle}), before float32 rounds them",
         )
-
-
-def _in_axes(gaussians: Gaussians, kind: SplatFormat, keep_axes: bool) -> Gaussians:
-    """Undo the half-turn that the reader of a format has made, or that its writer will make."""
-    return kind.turned(gaussians) if keep_axes else gaussians
 
 
 def save_gaussians(
@@ -112,7 +106,7 @@ def save_gaussians(
             f"{path}: this format cannot say that the splat was trained with antialiasing; .ply and .spz can"
         )
         warnings.warn(message, ScoupWarning, stacklevel=2)
-    kind.write(_in_axes(gaussians, kind, keep_axes), Path(path), overwrite)
+    kind.write(kind.turned(gaussians) if keep_axes else gaussians, Path(path), overwrite)
 
 
 def load_cameras(

@@ -21,13 +21,8 @@ _WHAT = "a checkpoint of nerfstudio's splatfacto"
 _EXPORT = "export the splat and use that: ns-export gaussian-splat"
 _PREFIXES = ("_model.gauss_params.", "_model.")  # newer, older
 _SHAPES = {  # of a Gaussian
-    "means": (3,),
-    "quats": (4,),
-    "scales": (-1,),
-    "opacities": (1,),
-    "features_dc": (3,),
-    "features_rest": (-1, 3),
-}
+    "means": (3,), "quats": (4,), "scales": (-1,), "opacities": (1,), "features_dc": (3,), "features_rest": (-1, 3),
+}  # fmt: skip
 
 
 def read_splatfacto(path: str | Path, activated: bool = False) -> Gaussians:
