@@ -35,7 +35,9 @@ def report_masks(
     may_be_transparent = [item for item in photographs if item.path.suffix.lower() not in LOSSY]
     sample = spread(masked or may_be_transparent, _MOST_READ)
     guessed = any(item.guessed for item in masked)
-    places = _scene_places(scene, gaussians, images, sample) if guessed and scene else {}
+    places: dict[Path, NDArray[np.float64]] = {}
+    if guessed and scene:
+        places = _scene_places(scene, gaussians, images, sample)
     shares = []
     for item in sample:
         with suppress(ScoupError), warnings.catch_warnings():

@@ -24,12 +24,13 @@ def fitting_scene(scene: Path, gaussians: Path | None = None, images: Path | Non
             splat = ScenePaths(scene).splat(gaussians)
             loaded = load_gaussians(splat.path)
             for model in (source.path, *source.rivals):
-                fit = measure_fit(loaded, load_cameras(model, images, distorted="undistort"), splat.preset)
+                cameras = list(load_cameras(model, images, distorted="undistort"))
+                fit = measure_fit(loaded, cameras, splat.preset)
                 fits[model] = float(np.median(fit.own[fit.compared] if fit.compared.any() else fit.coverage))
     best, *others = sorted(fits, key=lambda model: -fits[model]) or [scene]
     if not others or fits[best] - fits[others[0]] <= BETTER:
         return scene
     listed = ", ".join(f"{model} ({fits[model]:.2f})" for model in others)
-    message = f"{best}: used, as it fits the splat better (similarity {fits[best]:.2f}) than {listed}"
-    warnings.warn(message, ScoupWarning, stacklevel=2)
+    said = f"{best}: used, as it fits the splat better (similarity {fits[best]:.2f}) than {listed}"
+    warnings.warn(said, ScoupWarning, stacklevel=2)
     return best
