@@ -62,7 +62,7 @@ def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(
         "scoup.cli.batch._in_processes", lambda commands, jobs: iter(seen.update(commands) or ())
     )
-    passed = [*FREE, "--embed-geometry", "--preset", "paper"]
+    passed = [*FREE, "--embed-geometry", "--preset", "paper", "--masks", "black", "--no-masks"]
     said = json.loads(run("batch", "scans", "--out", "fields", *passed, "--json")[1])
     assert (said["failed"], [*seen]) == (["broken"], ["a"])
     start, rest = seen["a"][:4], seen["a"][4:]

@@ -155,6 +155,15 @@ def test_regions_are_made_and_resumed():
     assert not lacks_views(made, Path("scene"), None, "a model of their own")
     said = run_json("build", "scene", *FREE, *QUICK, "--out", "c.scoup")
     assert (said["extraction"]["made"], said["extraction"]["kept"], said["views"]) == (1, 3, 4)
+    Path("scene/masks").mkdir()
+    mask = torch.ones(30, 40, 3, dtype=torch.uint8)
+    mask[:, 30:] = 0
+    save_png(mask, Path("scene/masks/view_01.png"))
+    for options, made in ((("--no-masks",), 0), (("--masks", "white"), 1), (("--masks", "black"), 1)):
+        said = run_json("build", "scene", *FREE, *QUICK, *options, "--out", "c.scoup", "--overwrite")
+        assert (said["extraction"]["made"], said["extraction"]["kept"]) == (made, 4 - made)
+    for options in (("--features", "scene/language_features"), ("--keep-sums", "sums", "--part", "1/2")):
+        assert "--no-masks" in refused("build", "scene", "--no-masks", *options)
 
 
 def test_absurd_gaussians_are_counted():

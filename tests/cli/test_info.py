@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
@@ -158,6 +159,22 @@ def test_several_models_of_colmap():
     assert run_json("info", "scene")["warnings"] == [said]
     assert said in run_json(*BUILD)["warnings"]
     assert said not in run_json("info", "scene/sparse/10").get("warnings", [])
+
+
+def test_of_models_with_as_many_images_the_one_that_fits_the_splat():
+    shutil.copytree("scene/sparse/0", "scene/sparse/1")
+    turned = torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]).double()
+    elsewhere = [camera.moved(turned, [9.0, 9.0, 9.0]) for camera in load_cameras("scene/sparse/1")]
+    write_colmap(Cameras(elsewhere), "scene/sparse/0", overwrite=True)
+    said = run_json("info", "scene")
+    assert (said["cameras_from"], said["fit"]["verdict"]) == ("scene/sparse/1", "fits")
+    assert "scene/sparse/1: used, as it fits the splat better (similarity" in said["warnings"][0]
+    assert run_json(*BUILD)["warnings"][0] == said["warnings"][0]
+    assert run_json("extract", "scene", *FREE, "--out", "r")["warnings"] == said["warnings"]
+    Path("scene/point_cloud.ply").rename("splat.ply")
+    for verb in (("info", "scene"), ("extract", "scene", *FREE, "--out", "r")):
+        assert "has as many images (4) as scene/sparse/1; pass the folder of the model" in refused(*verb)
+    assert run_json("extract", "scene", *FREE, "--out", "r", "--gaussians", "splat.ply")["kept"] == 4
 
 
 def test_unreadable_photographs_are_counted_by_info():

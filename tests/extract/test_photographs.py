@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import threading
 import warnings
@@ -15,16 +16,17 @@ from PIL import Image, ImageOps
 from mask_samples import smooth_image
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.extract.mask_report import report_masks
+from scoup.extract.photograph_choice import points_as_gaussians
 from scoup.extract.photographs import (
     Photograph,
     Pixels,
     find_photographs,
     read_ahead,
     read_photograph,
-    report_masks,
 )
-from scoup.io import load_image, write_colmap
-from scoup.scene import Cameras
+from scoup.io import load_image, save_gaussians, write_colmap
+from scoup.scene import Camera, Cameras
 from support import make_camera
 
 IMAGE = smooth_image(20, 30)
@@ -188,6 +190,34 @@ def test_masks_that_hide_most_are_asked_for(tmp_path: Path) -> None:
     for masks, share in MEANINGS:
         found = find_photographs(tmp_path, masks=masks)
         assert report_masks(found) == (f"3 masks: {share} of the pixels get no regions" if share else "")
+
+
+@pytest.mark.parametrize("known", ["splat", "points", "nothing"])
+def test_masks_that_hide_the_scene_are_asked_for(tmp_path: Path, known: str) -> None:
+    """It is left in all photographs; where nothing tells that, the middle counts. Less than half of each is hidden."""
+    points = np.random.default_rng(0).normal((-1.0, 0, 0), (0.1, 0.1, 0.3), (200, 3))
+    eyes = [(0.1 * number, -4.0, 0.0) for number in range(4)]
+    cameras = Cameras(
+        Camera.look_at(eye, (eye[0], 0, 0), f"{number}.png", 30, 20, 30.0, up=(0, 0, 1))
+        for number, eye in enumerate(eyes)
+    )
+    if known != "nothing":
+        write_colmap(cameras, tmp_path / "sparse/0", (points, np.zeros((200, 3), np.uint8)))
+    if known == "splat":
+        (tmp_path / "sparse/0/points3D.bin").unlink()
+        save_gaussians(points_as_gaussians(points), tmp_path / "point_cloud.ply")
+    for folder in ("images", "masks"):
+        (tmp_path / folder).mkdir()
+    columns, rows = np.meshgrid(np.arange(30), np.arange(20))
+    middle, left, right = (abs(columns - 14.5) < 8) & (abs(rows - 9.5) < 7), columns < 13, columns > 16
+    for hidden, wrong in ((middle, known == "nothing"), (left, known != "nothing"), (right, False)):
+        for name in cameras.names:
+            Image.fromarray(0 * IMAGE).save(tmp_path / "images" / name)
+            Image.fromarray(~hidden).save(tmp_path / "masks" / name)
+        asked = refuses() if wrong else contextlib.nullcontext()
+        with asked:
+            report_masks(find_photographs(tmp_path), tmp_path)
+        report_masks(find_photographs(tmp_path, masks="white"), tmp_path)
 
 
 def test_transparency_is_a_mask(tmp_path: Path) -> None:

@@ -124,21 +124,32 @@ def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert after == snapshot(whole)
 
 
-@pytest.mark.parametrize("kind", ["cut", "gone", "empty", "changed photograph"])
+@pytest.mark.parametrize("kind", ["cut", "gone", "empty", "changed photograph", "changed mask", "new mask"])
 def test_damaged_views_and_changed_photographs_are_done_again(tmp_path: Path, kind: str) -> None:
     folder, _ = scene(tmp_path)
-    out = tmp_path / "out"
+    out, mask = tmp_path / "out", folder / "masks" / "1.png"
+    mask.parent.mkdir()
+    pixels = np.zeros((30, 20), np.uint8)
+    pixels[:, 12:] = 255
+    if kind == "changed mask":
+        Image.fromarray(255 - pixels).save(mask)
     extract(find_photographs(folder), out, Blocks(), PlainColors())
     whole, victim = snapshot(out), out / "1.regions"
     if kind == "changed photograph":
         Image.fromarray(smooth_image(24, 32, 99)).save(folder / "images" / "1.png")
+    elif "mask" in kind:
+        Image.fromarray(pixels).save(mask)
     elif kind == "gone":
         victim.unlink()
     else:
         victim.write_bytes(victim.read_bytes()[: 0 if kind == "empty" else 20])
     report = extract(find_photographs(folder), out, Blocks(), PlainColors())
     assert (report.made, report.kept) == (["1.png"], 3)
-    assert (snapshot(out) == whole) == (kind != "changed photograph")
+    assert (snapshot(out) == whole) == (not kind.endswith(("photograph", "mask")))
+    for masks in ("white", "black", False, None):  # what a mask means is part of it; None means white here
+        report = extract(find_photographs(folder, masks=masks), out, Blocks(), PlainColors())
+        expected = ["1.png"] if "mask" in kind and masks != "white" else []
+        assert (report.made, report.kept) == (expected, 4 - len(expected))
 
 
 def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:

@@ -352,6 +352,12 @@ def test_of_several_models_the_largest(tmp_path: Path, binary: bool) -> None:
     with warns(ScoupWarning):
         assert len(load_cameras(tmp_path, missing_images="keep")) == 3
     assert len(load_cameras(tmp_path / "sparse/2", missing_images="keep")) == 2
+    write_colmap_text(some_cameras(3, seed=1), tmp_path / "sparse/2")
+    if binary:
+        write_colmap(some_cameras(3, seed=1), tmp_path / "sparse/2", overwrite=True)
+    for read in (load_cameras, find_photographs):
+        with refuses(FileFormatError):
+            read(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["colmap", "sparse", "0", "colmap/colmap"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import zipfile
 from dataclasses import replace
 from functools import partial
@@ -110,9 +111,29 @@ def test_the_third_scale_of_2dgs(
     with warns(ScoupWarning) if flat and not config else contextlib.nullcontext():
         found = load_gaussians(tmp_path).scales
     torch.testing.assert_close(found[:, :2], given.scales[:, :2])
-    torch.testing.assert_close(found[:, 2], torch.full((60,), 1e-6) if flat else logs[:, 2].exp())
-    save_checkpoint(given, tmp_path / "ckpts" / name, scales=logs[:, :2])
-    torch.testing.assert_close(load_gaussians(tmp_path).scales[:, 2], torch.full((60,), 1e-6))
+    thin = 3e-4 * given.scales[:, :2].amin(1)
+    torch.testing.assert_close(found[:, 2], thin if flat else logs[:, 2].exp())
+    for unit in (1, 1000, 0.001):  # as flat in any
+        larger, stored = replace(given, means=unit * given.means), logs[:, :2] + math.log(unit)
+        save_checkpoint(larger, tmp_path / "ckpts" / name, scales=stored)
+        torch.testing.assert_close(load_gaussians(tmp_path).scales[:, 2] / unit, thin, rtol=1e-4, atol=0)
+
+
+@pytest.mark.parametrize("names", [("scales",), ("opacities",), ("scales", "opacities")])
+def test_checkpoints_of_scales_and_opacities_as_they_are(tmp_path: Path, names: tuple[str, ...]) -> None:
+    given = some_gaussians(60)
+    given.opacities[:2] = torch.tensor([0.02, 0.98])
+    stored = {"scales": given.scales.exp(), "opacities": given.opacities.sigmoid()}
+    stored = replace(given, **{name: stored[name] for name in names})
+    for save, name in ((save_checkpoint, "a.pt"), (save_splatfacto, "step-000000010.ckpt")):
+        path = tmp_path / name
+        save(stored, path)
+        if names != ("scales",):
+            with refuses(FileFormatError):
+                load_gaussians(path)
+        found = load_gaussians(path, activated=True)
+        torch.testing.assert_close(found.scales, given.scales)
+        torch.testing.assert_close(found.opacities, given.opacities)
 
 
 def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> None:

@@ -477,7 +477,8 @@ class Archive:
             return dict.fromkeys(range(len(scans)))
         files = [scan.file for scan in scans.values()]
         things = matching_things(where, files, self.folder, self._where_seconds)
-        return {number: set(things[name]) for number, name in enumerate(map(str, files)) if name in things}
+        paths = (str(file.absolute()) for file in files)
+        return {number: set(things[path]) for number, path in enumerate(paths) if path in things}
 
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> FoundThings:
         """Return things with their places."""

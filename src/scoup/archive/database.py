@@ -107,7 +107,7 @@ def call(connection: DuckDBPyConnection, work: Callable[[DuckDBPyConnection], Re
 def matching_things(
     where: str, files: Sequence[Path], folder: Path, seconds: float
 ) -> Mapping[str, Sequence[int]]:
-    """Return by file the things for which a condition holds; files without any are left out.
+    """Return by absolute path of a file the things for which a condition holds; files without any are left out.
 
     It runs in a process of its own: DuckDB cannot interrupt a single call of a function such as ``repeat``, nor limit
     its memory.
@@ -115,8 +115,9 @@ def matching_things(
     Raises:
         InputError: the condition cannot be used, or takes too long or too much memory.
     """
-    request = {"where": where, "files": [str(file) for file in files], "folder": quoted(str(folder.absolute())),
-               "seconds": seconds, "memory": _MEMORY}  # fmt: skip
+    paths = [str(file.absolute()) for file in files]
+    request = {"where": where, "files": paths, "folder": quoted(str(folder.absolute())), "seconds": seconds,
+               "memory": _MEMORY}  # fmt: skip
     try:
         done = subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{_PROGRAM}"],

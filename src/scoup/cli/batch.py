@@ -32,7 +32,7 @@ from scoup.base import (
 from scoup.cli.build import Build
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
-from scoup.cli.options import AllCommon, Model, arg, check_number
+from scoup.cli.options import AllCommon, Model, PhotographMasks, arg, check_number
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -69,6 +69,7 @@ class Batch:
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
+    hidden: Annotated[PhotographMasks, arg(name="photograph mask")] = PhotographMasks()
     method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     common: AllCommon = AllCommon()
 
@@ -152,10 +153,12 @@ class Batch:
 
     def _problem(self, scan: Path, out: Path) -> str:
         """Return why a scan cannot be built, as far as that shows before the long work of any; "" if nothing does."""
+        from scoup.uplift import fitting_scene
+
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the build warns again
-                Build(scene=scan, out=out, method=self.method, common=self.common).check()
+                Build(scene=fitting_scene(scan), out=out, method=self.method, common=self.common).check()
         except ScoupError as error:
             return with_options(str(error))
         return ""
@@ -163,7 +166,7 @@ class Batch:
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.common.device, "--overwrite"]
-        for option, value in passed_options(self.method).items():
+        for option, value in {**passed_options(self.hidden), **passed_options(self.method)}.items():
             passed += [option] if value is True else [option, str(value)]
         return passed
 

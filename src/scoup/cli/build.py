@@ -22,7 +22,7 @@ from scoup.cli.build_options import (
     report_field,
 )
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import CLIP_MODEL, AllCommon, arg
+from scoup.cli.options import CLIP_MODEL, AllCommon, PhotographMasks, arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -61,6 +61,7 @@ class Build:
     out: Path | None = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     parts: Annotated[SceneOptions, arg(name="scene")] = SceneOptions()
+    hidden: Annotated[PhotographMasks, arg(name="photograph mask")] = PhotographMasks()
     method: Annotated[BuildOptions, arg(name="field")] = BuildOptions()
     coding: CodingOptions = CodingOptions()
     region_sums: Annotated[SumOptions, arg(name="region sum")] = SumOptions()
@@ -70,9 +71,13 @@ class Build:
         """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
         from scoup.field import doubt_of
+        from scoup.uplift import fitting_scene
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
+        model = fitting_scene(self.scene, self.parts.gaussians, self.parts.images)
+        if model != self.scene:
+            return replace(self, scene=model).run(console)
         if self.region_sums.sums is not None and self.region_sums.keep_sums is not None:
             raise InputError(
                 "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"
@@ -113,11 +118,12 @@ class Build:
         from scoup.extract import lacks_views
         from scoup.io import ScenePaths
 
-        named = self.method.segmenter is not None or self.method.embedder is not None
+        named = [*passed_options(self.hidden)]
+        named += [name for name in passed_options(self.method) if name in ("--segmenter", "--embedder")]
         if self.parts.features is not None:
             if named:
                 raise InputError(
-                    "--segmenter and --embedder make regions, --features names some; pass either"
+                    f"{' and '.join(named)} would make regions, but --features names some; pass either"
                 )
             return {}
         paths, embedder = ScenePaths(self.scene), self.method.embedder or CLIP_MODEL
@@ -130,6 +136,7 @@ class Build:
         return Extract(
             scene=self.scene,
             photographs=PhotographOptions(gaussians=self.parts.gaussians, images=self.parts.images),
+            hidden=self.hidden,
             models=ModelOptions(segmenter=self.method.segmenter, embedder=embedder),
             common=AllCommon(device=self.common.device),
         ).make(console, self._check_dim)
@@ -224,7 +231,11 @@ class Build:
         part, folder = Part.parse(self.region_sums.part or ""), self.region_sums.keep_sums
         if folder is None:
             raise InputError("--part needs the folder for the region sums: pass --keep-sums")
-        later = [*passed_options(self.method), *passed_options(self.coding), *(["--out"] if self.out else [])]
+        groups = (self.hidden, self.method, self.coding)
+        later = [
+            *(name for group in groups for name in passed_options(group)),
+            *(["--out"] if self.out else []),
+        ]
         if later:
             raise InputError(f"--part writes region sums only; pass {', '.join(later)} to scoup build --sums")
         loaded = self._load(console)

@@ -64,7 +64,7 @@ class Convert:
     keep_axes: bool = False
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
     activated: bool = False
-    """Read scales and opacities of a PLY as they are, not as logarithms and logits."""
+    """Read scales and opacities of a PLY or checkpoint as they are, not as logarithms and logits."""
     model: str | None = None
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
     regions: RegionOptions = RegionOptions()

@@ -13,11 +13,7 @@ import tyro
 
 from scoup.base import InputError, Part, counted
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import (
-    CLIP_MODEL,
-    AllCommon,
-    arg,
-)
+from scoup.cli.options import CLIP_MODEL, AllCommon, PhotographMasks, arg
 
 if TYPE_CHECKING:
     from scoup.base import Part, Progress
@@ -38,10 +34,6 @@ class PhotographOptions:
     """The trained splat by which photographs are chosen. Default: the one in SCENE."""
     images: Path | None = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    masks: Annotated[Literal["white", "black"] | None, arg()] = None
-    """Where masks of photographs (docs/own_scene.md) allow regions. Default: white; asked if that leaves little."""
-    no_masks: bool = False
-    """Ignore masks and transparency of photographs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +92,7 @@ class Extract:
     """Extract nothing: draw the regions of this view, which --out contains, beside its photograph, as VIEW_regions.png
     here."""
     photographs: Annotated[PhotographOptions, arg(name="photograph")] = PhotographOptions()
+    hidden: Annotated[PhotographMasks, arg(name="photograph mask")] = PhotographMasks()
     models: Annotated[ModelOptions, arg(name="model")] = ModelOptions()
     words: ConceptOptions = ConceptOptions()
     masks: Annotated[MaskOptions, arg(name="mask")] = MaskOptions()
@@ -128,17 +121,19 @@ class Extract:
         )
         from scoup.io import ScenePaths, load_gaussians
         from scoup.models import open_concepts
+        from scoup.uplift import fitting_scene
 
         scene = self._scene()
         if is_splat(scene):
             remedy = f"{command('build', scene)} makes views of it first"
             raise InputError(f"{scene}: is a splat, expected photographs; {remedy}")
+        scene = fitting_scene(scene, self.photographs.gaussians, self.photographs.images)
         words = self._words()  # a mistake shows before the long work
         segmenter_name, preset = self._masks(console, self.common.device)
         settings = mask_settings(preset, points_per_side=self.masks.points_per_side)
         wanted = self.photographs
-        photographs = find_photographs(scene, wanted.images, False if wanted.no_masks else wanted.masks)
-        if masked := report_masks(photographs):
+        photographs = find_photographs(scene, wanted.images, self.hidden.keep)
+        if masked := report_masks(photographs, scene, wanted.gaussians, wanted.images):
             console.say(f"{masked}; --no-masks ignores them")
         part = Part() if self.part is None else Part.parse(self.part)
         out = ScenePaths(scene).features(self.out, to_make=True)

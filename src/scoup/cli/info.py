@@ -54,11 +54,11 @@ def _next(path: Path, record: dict[str, Any]) -> str:
 
 def _other(path: Path) -> dict[str, Any]:
     from scoup.io import describe
-    from scoup.uplift import RegionSums, measure_fit
+    from scoup.uplift import RegionSums, fitting_scene, measure_fit
 
     if path.is_dir() and RegionSums.are_in(path):
         return RegionSums.open(path).describe()
-    folder = describe(path)
+    folder = describe(fitting_scene(path))
     if folder is None:
         return _word_table(path)
     if not (folder.splat and folder.gaussians and folder.cameras):

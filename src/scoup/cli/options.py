@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import tyro
 
@@ -75,3 +75,18 @@ class DeviceCommon(Common):
 @dataclass(frozen=True, kw_only=True)
 class AllCommon(DeviceCommon, WritesCommon):
     """Options of verbs that compute and write."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotographMasks:
+    """Masks of photographs that are cut into regions."""
+
+    masks: Annotated[Literal["white", "black"] | None, arg()] = None
+    """Where masks of photographs (docs/own_scene.md) allow regions. Default: white; asked if that seems wrong."""
+    no_masks: bool = False
+    """Ignore masks and transparency of photographs."""
+
+    @property
+    def keep(self) -> Literal["white", "black", False] | None:
+        """As ``find_photographs`` takes it."""
+        return False if self.no_masks else self.masks

@@ -36,7 +36,10 @@ def extract_concepts(
     settings = {**model.to_dict(), "max_height": max_height}
     store = DetectionStore.new(Path(folder), texts, settings)
     store.begin(overwrite)
-    report, assigned, moment = ExtractReport(), part.of(photographs), time.perf_counter()
+    assigned = [
+        replace(item, mask=None, masks_keep="white") for item in part.of(photographs)
+    ]  # words count anywhere
+    report, moment = ExtractReport(), time.perf_counter()
     waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
     report.kept = len(assigned) - len(waiting)
     for done, (item, pixels) in enumerate(read_ahead(waiting, max_height), start=report.kept):

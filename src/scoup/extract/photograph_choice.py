@@ -121,7 +121,7 @@ def choose_photographs(
         for camera in load_cameras(scene, images, distorted="undistort", missing_images="keep")
     }
     posed = [item for item in photographs if item.path in cameras]
-    surface = _surface(
+    surface = scene_surface(
         Path(scene), None if gaussians is None else Path(gaussians), [cameras[item.path] for item in posed]
     )
     read = reported(read_ahead(posed, max_height), "photographs", len(posed), progress)
@@ -188,7 +188,7 @@ def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
     return (sharp / usual.clamp(min=1e-9)).clamp(max=1)
 
 
-def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
+def scene_surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
     """Return the splat, which must fit the cameras, or COLMAP's points as Gaussians."""
     paths = ScenePaths(scene)
     try:

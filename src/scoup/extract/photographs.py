@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
-from collections.abc import Generator, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -13,14 +13,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base import InputError, ScoupError, counted, file_sha256, spread, worked_ahead
+from scoup.base import ScoupError, file_sha256, worked_ahead
 from scoup.io import DYNAMIC_MASK, ScenePaths, open_image, rgb_image
 
 Keeps = Literal["white", "black", "all"]
 _FOLDERS = ("masks", "mask")
-_MOST_HIDDEN = 0.5  # of the pixels, by masks that may be the other way round
-_LOSSY = (".jpg", ".jpeg")
-_MOST_READ = 24  # masks that tell the share of pixels
+LOSSY = (".jpg", ".jpeg")
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # mirrored left to right after the turns
@@ -42,9 +40,9 @@ class Photograph:
     """The mask was found by its name, and nobody said what it keeps."""
 
     def digest(self) -> str:
-        """Return the SHA-256 of the file; "" if it cannot be read, which is reported when its turn comes."""
+        """Return that of ``Pixels``; "" if a file cannot be read, which is reported when its turn comes."""
         try:
-            return file_sha256(self.path)
+            return _digest(self.path, self.mask, self.masks_keep)
         except ScoupError:
             return ""
 
@@ -56,7 +54,7 @@ class Pixels:
     image: NDArray[np.uint8]  # [H, W, 3] RGB, upright
     turns: int  # quarter turns against the clock
     mirrored: bool  # left to right, after the turns
-    digest: str  # SHA-256 of the file
+    digest: str  # SHA-256 of the file, or of this with its mask
     masked: NDArray[np.bool_] | None = None  # [H, W] where there are no regions, upright
 
     def as_stored(self, labels: NDArray[Any]) -> NDArray[Any]:
@@ -78,7 +76,7 @@ def find_photographs(
         scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
             with ``images``, ``images_2`` and so on, or of photographs.
         images: the folder of the photographs, where it is another.
-        masks: where they allow regions; None: where white, unless that leaves little (``report_masks``). False: ignore
+        masks: where they allow regions; None: where white, unless that seems wrong (``report_masks``). False: ignore
             them, and transparency.
 
     Raises:
@@ -103,7 +101,7 @@ def _mask_of(name: str, image: Path) -> Path | None:
     files = [
         image.with_name(form) for form in (*forms, *(f"{DYNAMIC_MASK}{stem}.png" for stem in stems.values()))
     ]
-    forms += [f"{stem}{ending}" for stem in stems.values() for ending in (".png", *_LOSSY)]
+    forms += [f"{stem}{ending}" for stem in stems.values() for ending in (".png", *LOSSY)]
     for home in image.parents[:3]:
         within = image.parent.relative_to(home)
         for folder in [
@@ -111,31 +109,6 @@ def _mask_of(name: str, image: Path) -> Path | None:
         ]:
             files += [folder / form for form in forms] if folder.is_dir() else []
     return next((file for file in files if file != image and file.is_file()), None)
-
-
-def report_masks(photographs: Sequence[Photograph]) -> str:
-    """Return how much of the pixels masks and transparency hide, "" for nothing.
-
-    InputError where masks that were found by their names hide most: they may be the other way round.
-    """
-    masked = [item for item in photographs if item.mask]
-    shares = []
-    transparent = [
-        item for item in photographs if item.path.suffix.lower() not in _LOSSY
-    ]  # those that may be
-    for item in spread(masked or transparent, _MOST_READ):
-        with suppress(ScoupError), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            hidden = read_photograph(item.path, 270, item.mask, item.masks_keep).masked
-            shares.append(0.0 if hidden is None else float(hidden.mean()))
-    share = sum(shares) / max(1, len(shares))
-    what = counted(len(masked), "mask") if masked else "transparent photographs"
-    if share > _MOST_HIDDEN and any(item.guessed for item in masked):
-        raise InputError(
-            f"{masked[0].mask}: {what} would hide {share:.0%} of the pixels, where black; if so, pass `masks='white'`, "
-            "or `masks='black'` if they mark what to hide in white; `masks=False` ignores them"
-        )
-    return f"{what}: {share:.0%} of the pixels get no regions" if share else ""
 
 
 def read_photograph(
@@ -172,18 +145,35 @@ def read_photograph(
     if mask is not None and masks_keep != "all":
         with open_image(mask) as stored:
             brightest = Image.fromarray(np.asarray(rgb_image(stored)).max(2))
-        least = 128 if mask.suffix.lower() in _LOSSY else 1
+        least = 128 if mask.suffix.lower() in LOSSY else 1
         dark = np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) < least
         hidden = upright(dark != (mask.name.startswith(DYNAMIC_MASK) != (masks_keep == "black")))
         masked = hidden if masked is None else masked | hidden
-    return Pixels(upright(array), turns, mirrored, file_sha256(path), masked)
+    return Pixels(upright(array), turns, mirrored, _digest(path, mask, masks_keep), masked)
+
+
+def _digest(path: Path, mask: Path | None, masks_keep: Keeps) -> str:
+    """Return the SHA-256 of a photograph's file; where a mask counts, or transparency does not, of this with that."""
+    digest = file_sha256(path)
+    if masks_keep != "all":
+        more = "" if mask is None else f"{masks_keep} {file_sha256(mask)}"
+    elif path.suffix.lower() in LOSSY:
+        more = ""
+    else:
+        with open_image(path) as stored:
+            more = "all" if _has_alpha(stored) else ""
+    return hashlib.sha256(f"{digest} {more}".encode()).hexdigest() if more else digest
+
+
+def _has_alpha(image: Any) -> bool:
+    return image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
 
 
 def _opaque(image: Any, size: tuple[int, int]) -> NDArray[np.bool_] | None:
     """Return [H, W] where an image of Pillow is not transparent; None if that is everywhere or nowhere."""
     from PIL import Image
 
-    if not (image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info):
+    if not _has_alpha(image):
         return None
     alpha = image.convert("RGBA").getchannel("A").resize(size, Image.Resampling.NEAREST)
     seen = np.asarray(alpha) > 0

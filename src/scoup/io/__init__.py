@@ -23,16 +23,9 @@ from scoup.io.regions.views import ViewRegions
 from scoup.io.scene_parts import ScenePaths
 from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians
 from scoup.io.similarity import read_similarity
-from scoup.io.splats.formats import (
-    is_splat_name,
-    splat_source,
-    written_format,
-)
+from scoup.io.splats.formats import is_splat_name, splat_source, written_format
 from scoup.io.splats.gltf_write import write_gltf
-from scoup.io.splats.ply import (
-    PlyTable,
-    as_stored,
-)
+from scoup.io.splats.ply import PlyTable, as_stored
 from scoup.io.splats.rotation import spread_directions
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.usd import UsdThing, write_usd

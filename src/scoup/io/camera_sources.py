@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scoup.base import Entry, FileFormatError, MissingFileError, Registry
-from scoup.io.cameras.colmap import count_images, is_model, read_colmap
+from scoup.io.cameras.colmap import is_model, model_images, read_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
@@ -65,8 +65,8 @@ CAMERA_FORMATS = Registry(
 @dataclass(frozen=True)
 class CameraSource:
     """Source of the cameras of a scene: format, file or model folder, folders that may hold images, other models of
-    COLMAP beside the one taken, and what says in which frame the splat was trained: dataparser_transforms.json of
-    nerfstudio, or cfg.yml of gsplat, whose trainer moves the world.
+    COLMAP beside the one taken, what says in which frame the splat was trained (dataparser_transforms.json of
+    nerfstudio, or cfg.yml of gsplat, whose trainer moves the world), and models with as many but other images or poses.
     """
 
     format: str
@@ -74,6 +74,7 @@ class CameraSource:
     roots: tuple[Path, ...]
     others: tuple[Path, ...] = ()
     frame: Path | None = None
+    rivals: tuple[Path, ...] = ()
 
 
 def find_cameras(path: str | Path) -> CameraSource:
@@ -115,11 +116,12 @@ def _source_of_folder(path: Path, trained: bool = False) -> CameraSource:
         if candidate.is_file():
             return _source_of_file(candidate)
         models = _models(candidate)
-        if len(models) > 1 and not trained:
-            images = {model: count_images(model) for model in models}
-            models.sort(key=lambda model: -images[model])
         if models:
-            return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
+            images = {item: set(() if trained or len(models) == 1 else model_images(item)) for item in models}
+            first, *others = sorted(models, key=lambda model: -len(images[model]))
+            same = [model for model in others if len(images[model]) == len(images[first])]
+            rivals = tuple(model for model in same if images[model] != images[first])
+            return CameraSource("colmap", first, (scene_folder(first),), tuple(others), rivals=rivals)
     for candidate in candidates:
         for folder in sorted(candidate.glob("[0-9]*")) + [candidate]:
             _check_whole(folder)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, foreign_kind
-from scoup.io.camera_sources import camera_format, find_cameras
+from scoup.io.camera_sources import camera_format, find_cameras, scene_folder
 from scoup.io.images import image_fault
 from scoup.io.reading import read_json
 from scoup.io.regions.load import load_regions
@@ -175,7 +175,7 @@ def _describe_folder(path: Path) -> Described:
     except MissingFileError as error:
         no_cameras = error
     try:
-        splat = splat_source(path)
+        splat = splat_source(scene_folder(path))
         gaussians = load_gaussians(splat.path)
         record |= {"splat": str(splat.path), **describe_gaussians(gaussians)}
         no_splat = ""

@@ -21,20 +21,16 @@ def read_features(path: str | Path) -> np.ndarray:
     if suffix == ".npy":
         features = open_npy(path, "features of Gaussians")
     elif suffix in (".pt", ".pth"):
-        content = load_torch(
-            path, "a tensor of features", "save the tensor alone: torch.save(features, path)"
-        )
+        save = "save the tensor alone: torch.save(features, path)"
+        content = load_torch(path, "a tensor of features", save)
         if not isinstance(content, Tensor) or content.layout != torch.strided:
-            raise FileFormatError(
-                path, "does not contain a tensor", "save the tensor alone: torch.save(features, path)"
-            )
+            raise FileFormatError(path, "does not contain a tensor", save)
         if content.numel() * content.element_size() > path.stat().st_size:
             raise FileFormatError(path, "claims more numbers than it contains", "save the tensor again")
         features = content.detach().float().numpy()
     else:
-        raise FileFormatError(
-            path, "is not an array of features", "use .npy or .pt with [Gaussians, dimensions]"
-        )
+        remedy = "use .npy or .pt with [Gaussians, dimensions]"
+        raise FileFormatError(path, "is not an array of features", remedy)
     if features.dtype.kind != "f" or features.ndim not in (2, 3) or 0 in features.shape:
         problem = f"is {features.dtype} {list(features.shape)}, expected floats [N, D] or [N, levels, D]"
         raise FileFormatError(path, problem, "save one row per Gaussian")

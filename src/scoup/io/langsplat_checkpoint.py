@@ -26,13 +26,8 @@ _WITHOUT_OBJECTS = "use the chkpnt<step>.pth that the training wrote"
 # Entries of what is captured without features, and of LangSplatV2; between them one of features.
 _PLAIN, _V2 = 12, 14
 _SHAPES = {  # of a Gaussian; they come first, after the degree
-    "xyz": (3,),
-    "features_dc": (1, 3),
-    "features_rest": (-1, 3),
-    "scaling": (3,),
-    "rotation": (4,),
-    "opacity": (1,),
-}
+    "xyz": (3,), "features_dc": (1, 3), "features_rest": (-1, 3), "scaling": (3,), "rotation": (4,), "opacity": (1,),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,14 +17,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.base import (
-    FileFormatError,
-    InputError,
-    JsonNode,
-    MissingFileError,
-    ScoupWarning,
-    existing_file,
-)
+from scoup.base import FileFormatError, InputError, JsonNode, MissingFileError, ScoupWarning, existing_file
 from scoup.scene import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]

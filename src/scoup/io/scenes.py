@@ -13,16 +13,13 @@ import numpy as np
 from scoup.base import FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
-from scoup.io.cameras.colmap import count_images
+from scoup.io.cameras.colmap import model_images
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.ply import FORMAT as PLY
-from scoup.io.splats.ply import read_ply
-from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Cameras, Gaussians
 
 _COARSE = 0.1  # step of float32 as a share of the median scale, beyond which positions are wrong
@@ -35,7 +32,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
         path: a file of any splat format that is read (docs/formats.md); the output folder of a training by nerfstudio
             (splatfacto), by gsplat or by Inria's code (the last step is taken); or a folder with one splat.
         keep_axes: do not turn formats that name their axes, such as .spz and glTF, to those of 3DGS.
-        activated: of a PLY whose exporter wrote scales and opacities as they are, not as logarithms and logits.
+        activated: of a PLY or checkpoint that holds scales and opacities as they are, not as logarithms and logits.
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -53,9 +50,11 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
     check_arguments("load_gaussians", path=(path, Path))
     source = splat_source(path)
     assert source.kind.read is not None
-    if activated and source.kind is not PLY:
-        raise InputError(f"{source.path}: `activated=True` is for PLY files")
-    gaussians = read_ply(source.path, True) if activated else source.kind.read(source.path)
+    if activated and not source.kind.keeps_logs:
+        raise InputError(
+            f"{source.path}: `activated=True` is for PLY files and checkpoints; others hold no logarithms"
+        )
+    gaussians = source.kind.read(source.path, *([True] if activated else []))
     if not len(gaussians):
         raise FileFormatError(
             source.path, "contains no Gaussians with finite values", "export the splat again"
@@ -63,7 +62,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False, activated: bool = 
     _check_precision(source.path, gaussians)
     trained = os.path.isdir(path) and trained_antialiased(Path(path))
     gaussians = replace(gaussians, antialiased=gaussians.antialiased or trained)
-    return _in_axes(gaussians, source.kind, keep_axes)
+    return source.kind.turned(gaussians) if keep_axes else gaussians  # the half-turn of its reader, undone
 
 
 def _check_precision(path: Path, gaussians: Gaussians) -> None:
@@ -79,11 +78,6 @@ def _check_precision(path: Path, gaussians: Gaussians) -> None:
             f"Gaussians have a median scale of {scale:.2g}",
             f"move splat and cameras by one offset, for example ({middle}), before float32 rounds them",
         )
-
-
-def _in_axes(gaussians: Gaussians, kind: SplatFormat, keep_axes: bool) -> Gaussians:
-    """Undo the half-turn that the reader of a format has made, or that its writer will make."""
-    return kind.turned(gaussians) if keep_axes else gaussians
 
 
 def save_gaussians(
@@ -112,7 +106,7 @@ def save_gaussians(
             f"{path}: this format cannot say that the splat was trained with antialiasing; .ply and .spz can"
         )
         warnings.warn(message, ScoupWarning, stacklevel=2)
-    kind.write(_in_axes(gaussians, kind, keep_axes), Path(path), overwrite)
+    kind.write(kind.turned(gaussians) if keep_axes else gaussians, Path(path), overwrite)
 
 
 def load_cameras(
@@ -173,11 +167,11 @@ def _posed_cameras(
     path: str | Path, distorted: Distorted, dataparser_transforms: str | Path | None = None
 ) -> tuple[CameraSource, Cameras]:
     """Return the cameras of a scene in the frame of its splat."""
-    source = find_cameras(path)
+    source = _one_source(path)
     if source.others:
-        others = ", ".join(f"{other} ({count_images(other):,})" for other in source.others)
+        others = ", ".join(f"{other} ({len(model_images(other)):,})" for other in source.others)
         warnings.warn(
-            f"{source.path}: used, with {counted(count_images(source.path), 'image')}, and not {others}; to use "
+            f"{source.path}: used, with {counted(len(model_images(source.path)), 'image')}, and not {others}; to use "
             "another COLMAP model, pass its folder",
             ScoupWarning,
             stacklevel=2,
@@ -190,6 +184,19 @@ def _posed_cameras(
         transforms = source.path if source.format == "nerfstudio" else None
         cameras = in_trained_frame(cameras, frame, transforms)
     return source, cameras
+
+
+def _one_source(path: str | Path) -> CameraSource:
+    """Return the source of cameras; a FileFormatError where models of COLMAP have as many images."""
+    source = find_cameras(path)
+    if source.rivals:
+        problem = (
+            f"has as many images ({len(model_images(source.path)):,}) as {', '.join(map(str, source.rivals))}"
+        )
+        raise FileFormatError(
+            source.path, problem, "pass the folder of the model in whose frame the splat is"
+        )
+    return source
 
 
 def _means_of(results: Path) -> np.ndarray | None:
@@ -206,7 +213,7 @@ def camera_photographs(
     """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
     looked for where there are none. Images of another shape than their cameras are refused, by their headers alone.
     Arguments as of ``load_cameras``."""
-    source = find_cameras(path)
+    source = _one_source(path)
     return image_files(_read(source, "undistort"), source.roots, images)
 
 

@@ -91,7 +91,8 @@ class OwlConcepts(_Transformer):
         return best_boxes(corners(boxes.cpu().float()) * whole, scores, (width, height))
 
     def _queries(self, texts: Sequence[str]) -> Tensor:
-        return self.model.owlv2.get_text_features(**self.tokens(texts, OWL_TOKENS)).pooler_output
+        features = self.model.owlv2.get_text_features(**self.tokens(texts, OWL_TOKENS))
+        return getattr(features, "pooler_output", features)  # transformers 5 returns an object
 
 
 class DinoConcepts(_Transformer):

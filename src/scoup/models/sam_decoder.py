@@ -85,13 +85,13 @@ class SharedDecoder:
         tokens = layer.layer_norm1(_attend(layer.self_attn, places, places, places))
         to_image = layer.cross_attn_token_to_image
         queries = _heads(to_image, to_image.q_proj(tokens + places))
-        scores = _with_shared(queries * to_image.scaling, image.keys.transpose(2, 3))
+        scores = _with_shared(queries * queries.shape[-1] ** -0.5, image.keys.transpose(2, 3))
         mixed = _with_shared(scores.softmax(-1), image.values)
         tokens = layer.layer_norm2(tokens + to_image.out_proj(_join_heads(mixed)))
         tokens = layer.layer_norm3(tokens + layer.mlp(tokens))
         from_image = layer.cross_attn_image_to_token
         keys = _heads(from_image, from_image.k_proj(tokens + places))
-        scores = _with_shared(keys * from_image.scaling, image.queries.transpose(2, 3))
+        scores = _with_shared(keys * keys.shape[-1] ** -0.5, image.queries.transpose(2, 3))
         changed = _from_tokens(from_image, scores, tokens)
         return tokens, layer.layer_norm4(changed.add_(image.tokens))
 
@@ -105,7 +105,8 @@ class SharedDecoder:
         tokens = layer.layer_norm2(tokens + seen)
         tokens = layer.layer_norm3(tokens + layer.mlp(tokens))
         attention = layer.cross_attn_image_to_token
-        keys = _heads(attention, attention.k_proj(tokens + places)) * attention.scaling
+        keys = _heads(attention, attention.k_proj(tokens + places))
+        keys = keys * keys.shape[-1] ** -0.5
         bias = torch.einsum("hc,bhnc->bhn", attention.q_proj.bias.view(keys.shape[1], -1), keys)
         moved = _through(attention.q_proj.weight, keys)
         scores = torch.baddbmm(bias.flatten(1)[..., None], moved, placed.transpose(1, 2))
@@ -157,7 +158,6 @@ def _attend(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Te
         _heads(attention, attention.q_proj(queries)),
         _heads(attention, attention.k_proj(keys)),
         _heads(attention, attention.v_proj(values)),
-        scale=attention.scaling,
     )
     return attention.out_proj(_join_heads(mixed))
 
@@ -179,7 +179,7 @@ def _to_image(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> 
     heads = _heads(attention, attention.q_proj(queries))
     batch, count, tokens, size = heads.shape
     # The bias of the keys adds the same to all scores of a query, which softmax takes out again.
-    scores = torch.bmm(_through(attention.k_proj.weight, heads), keys.transpose(1, 2)) * attention.scaling
+    scores = torch.bmm(_through(attention.k_proj.weight, heads), keys.transpose(1, 2)) * size**-0.5
     mixed = torch.bmm(scores.softmax(-1), values).view(batch, count, tokens, -1)
     values_of_heads = torch.einsum(
         "bhnd,hcd->bhnc", mixed, attention.v_proj.weight.view(count, size, -1)

@@ -154,7 +154,7 @@ def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion,
     near = size / SHARE / (first.height / first.fy)
     away = max(min(near, length), 0.75 * size) or length  # a single point has no size
     closer = Camera.look_at(
-        place.position + arm * (away / max(length, 1e-12)),
+        place.position + arm * (away / (length or 1.0)),
         place.position,
         first.name,
         first.width,

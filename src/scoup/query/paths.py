@@ -32,7 +32,7 @@ def camera_path(cameras: Cameras, count: int) -> Cameras:
     turns = Rotation.from_matrix(np.stack([camera.viewmat[:3, :3].numpy().T for camera in stops]))
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     # Times follow distances, so that the speed is even; a camera that only turns takes its time, too.
-    times = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 0.2 * max(steps.mean(), 1e-9)))])
+    times = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 0.2 * (steps.mean() or 1.0)))])
     moments = np.linspace(0, times[-1], count)
     between, turned = PchipInterpolator(times, places)(moments), Slerp(times, turns)(moments).as_matrix()
     poses = np.concatenate([turned, between[:, :, None]], axis=2)

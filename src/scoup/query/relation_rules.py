@@ -56,7 +56,7 @@ class Shapes:
         for axis in (RIGHT, AWAY):
             low = max(self.spans[one, axis, 0], self.spans[other, axis, 0])
             high = min(self.spans[one, axis, 1], self.spans[other, axis, 1])
-            share *= max(0.0, high - low) / max(self.spans[one, axis, 1] - self.spans[one, axis, 0], 1e-30)
+            share *= max(0.0, high - low) / (self.spans[one, axis, 1] - self.spans[one, axis, 0] or 1.0)
         return share
 
     def top_below(self, one: int, other: int) -> float:

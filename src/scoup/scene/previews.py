@@ -92,7 +92,7 @@ def _fitted(across: Tensor, down: Tensor, width: int, height: int) -> tuple[Tens
     (left, right), (top, bottom) = (
         torch.quantile(values[::step], ends).tolist() for values in (across, down)
     )
-    scale = 0.85 * min(width / max(right - left, 1e-12), height / max(bottom - top, 1e-12))
+    scale = 0.85 / (max((right - left) / width, (bottom - top) / height) or 1.0)
     x = (across - (left + right) / 2) * scale + width / 2
     y = (down - (top + bottom) / 2) * scale + height / 2
     return x.clamp(-1e6, 1e6).long(), y.clamp(-1e6, 1e6).long()

@@ -8,6 +8,7 @@ from scoup.uplift.field_build import build, check_scene, pack
 from scoup.uplift.field_transfer import transfer
 from scoup.uplift.fit import measure_fit
 from scoup.uplift.foreign import foreign_field
+from scoup.uplift.model_choice import fitting_scene
 from scoup.uplift.naming import name_field
 from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.provenance import FieldSources, embedding_source
@@ -31,6 +32,7 @@ __all__ = [
     "code_regions",
     "embedding_source",
     "find_things",
+    "fitting_scene",
     "foreign_field",
     "measure_fit",
     "name_field",

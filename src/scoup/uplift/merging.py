@@ -50,7 +50,7 @@ def merge_regions(
     root.data, seen.data = (np.rint(ROOT_STEPS * np.sqrt(item.data)) for item in (root, seen))
     overlap = (root.T.tocsr() @ root).tocoo()
     reach = (root.T @ seen).toarray()  # D
-    first, second = overlap.coords
+    first, second = overlap.row, overlap.col
     above = (first < second) & (views[first] != views[second])
     first, second, overlaps = first[above], second[above], overlap.data[above]
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps

@@ -308,7 +308,7 @@ def _place(points: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[N
     step = max(1, len(points) // SAMPLED)
     points, weights = points[::step], weights[::step]
     middle = np.array([_median(axis, weights) for axis in points.T])
-    return middle, max(2 * _median(np.linalg.norm(points - middle, axis=1), weights), 1e-12)
+    return middle, 2 * _median(np.linalg.norm(points - middle, axis=1), weights) or 1e-100  # in any unit
 
 
 def _median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

@@ -136,11 +136,7 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     middle = finite.median(0).values.double() if len(finite) else torch.zeros(3, dtype=torch.float64)
     around = float((finite - middle.float()).norm(dim=1).median()) if len(finite) else 1.0
     # Cameras that turn on the spot are hardly apart, and a single Gaussian has no extent.
-    least = max(
-        0.1 * around,
-        float(scales.amax(1).median()) if len(finite) else 0.0,
-        1e-6,
-    )
+    least = max(0.1 * around, float(scales.amax(1).median()) if len(finite) else 0.0) or 1e-6
     up = estimate_up(cameras or ())
     if cameras is None or not len(cameras):
         return up.tolist(), middle.tolist(), max(2 * around, least)

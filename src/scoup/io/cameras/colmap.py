@@ -33,12 +33,12 @@ def _ending(folder: Path) -> str | None:
     )
 
 
-def count_images(folder: Path) -> int:
-    """Return the number of images of a model; 0 if its file is damaged."""
+def model_images(folder: Path) -> list[Shot]:
+    """Return the images of a model; none if its file is damaged."""
     end = _ending(folder)
     with suppress(FileFormatError):
-        return len(_PARSERS[end].read_shots(folder / f"images{end}")) if end else 0
-    return 0
+        return _PARSERS[end].read_shots(folder / f"images{end}") if end else []
+    return []
 
 
 def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:

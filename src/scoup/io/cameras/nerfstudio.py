@@ -105,20 +105,11 @@ def write_transforms(cameras: Cameras, path: str | Path, overwrite: bool = False
         pose = np.eye(4)
         rotation = camera.viewmat[:3, :3].numpy().T
         pose[:3, :3], pose[:3, 3] = rotation @ _FLIP, camera.position.numpy()
-        k1, k2, p1, p2 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[:4]
-        frames.append(
-            {
-                "file_path": file_path,
-                "w": camera.width,
-                "h": camera.height,
-                "fl_x": camera.fx,
-                "fl_y": camera.fy,
-                "cx": camera.cx,
-                "cy": camera.cy,
-                **({"k1": k1, "k2": k2, "p1": p1, "p2": p2} if camera.distortion else {}),
-                "transform_matrix": pose.tolist(),
-            }
-        )
+        frames.append({
+            "file_path": file_path, "w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy,
+            "cx": camera.cx, "cy": camera.cy, **dict(zip(_USED, camera.distortion, strict=False)),
+            "transform_matrix": pose.tolist(),
+        })  # fmt: skip
     content = {"camera_model": "OPENCV", "frames": frames}
     write_text(path, json.dumps(content, indent=1) + "\n", overwrite)
 

@@ -59,14 +59,9 @@ def gsplat_data(results: Path) -> tuple[Path, bool]:
 
 def trained_antialiased(folder: Path) -> bool:
     """Return whether a configuration of gsplat or nerfstudio says that its splat was trained with antialiasing."""
-    for name, said in (
-        (GSPLAT_CONFIG, "^antialiased: *true"),
-        ("config.yml", "^ *rasterize_mode: *antialiased"),
-    ):
-        config = folder / name
-        if config.is_file() and re.search(said, read_text(config), re.MULTILINE):
-            return True
-    return False
+    said = {GSPLAT_CONFIG: "^antialiased: *true", "config.yml": "^ *rasterize_mode: *antialiased"}
+    configs = {folder / name: pattern for name, pattern in said.items() if (folder / name).is_file()}
+    return any(re.search(pattern, read_text(config), re.MULTILINE) for config, pattern in configs.items())
 
 
 def trained_as(file: Path) -> str:

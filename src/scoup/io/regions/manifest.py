@@ -67,9 +67,7 @@ class RegionManifest:
 
     def differences(self, other: RegionManifest) -> list[str]:
         """Return what differs from another manifest, as "name: this one, not the other"."""
-        pairs: dict[str, tuple[Any, Any]] = {
-            "embedding model": (self.embedding_model, other.embedding_model),
-        }
+        pairs: dict[str, tuple[Any, Any]] = {"embedding model": (self.embedding_model, other.embedding_model)}
         for name in sorted({*self.settings, *other.settings}):
             pairs[name] = (self.settings.get(name), other.settings.get(name))
         return [

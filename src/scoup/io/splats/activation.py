@@ -22,7 +22,9 @@ WITHOUT_SH = (
     "has no SH colours",
     "it was trained with appearance features (such as splatfacto-w); export a PLY with its own script",
 )
-LOG_THIN = math.log(1e-6)  # the third scale of flat Gaussians with two, as viewers take it
+_LOG_THIN = math.log(
+    3e-4
+)  # third scale of flat Gaussians, by the smaller of two; viewers take 1e-6 in any unit
 _LEAST_JUDGED = 16  # Gaussians
 _HUGE = 0.05  # of the extent, for the median Gaussian
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
@@ -65,7 +67,29 @@ def unit_quats(raw: np.ndarray) -> np.ndarray:
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
 
 
-def find_activated(means: np.ndarray, scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
+def logs_and_logits(
+    path: Path, means: np.ndarray, scales: np.ndarray, opacities: np.ndarray, activated: bool | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of stored scales [N, 1 to 3] and logits of stored opacities [N]; ``activated`` as of
+    ``PlyTable.gaussians``."""
+    if activated is False and any(found := _find_activated(means, scales, opacities)):
+        names = " and ".join(name for name, one in zip(("scales", "opacities"), found, strict=True) if one)
+        raise FileFormatError(
+            path,
+            f"seems to store {names} as they are, not as logarithms and logits (scales {np.nanmin(scales):.3g} to "
+            f"{np.nanmax(scales):.3g}, opacities {np.nanmin(opacities):.3g} to {np.nanmax(opacities):.3g})",
+            f"if so, rewrite it: scoup convert {path} OUT.ply `activated=True`",
+        )
+    with np.errstate(all="ignore"):
+        if activated and np.nanmin(scales, initial=0) >= 0:
+            scales = np.log(scales.astype(np.float64))
+        if activated and np.nanmin(opacities, initial=0) >= 0 and np.nanmax(opacities, initial=1) <= 1:
+            opacities = opacities.astype(np.float64)
+            opacities = np.log(opacities) - np.log1p(-opacities)
+    return scales, opacities
+
+
+def _find_activated(means: np.ndarray, scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
     """Return whether stored scales [N, S], and opacities [N], have values that logarithms and logits of a trained splat
     do not have, but lengths and opacities do."""
     finite = np.isfinite(scales).all(1) & np.isfinite(opacities) & np.isfinite(means).all(1)
@@ -84,7 +108,7 @@ def three_logs(logs: np.ndarray) -> np.ndarray:
     """Return [N, 3] scales of [N, 1 to 3]: one is that of all axes, two are those of a flat Gaussian."""
     if logs.shape[1] == 1:
         return np.repeat(logs, 3, axis=1)
-    return logs if logs.shape[1] == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=LOG_THIN)
+    return logs if logs.shape[1] == 3 else np.c_[logs, logs.min(1) + _LOG_THIN]
 
 
 def trained_gaussians(
@@ -95,14 +119,16 @@ def trained_gaussians(
     logits: np.ndarray,
     sh: np.ndarray,
     what: str,
+    activated: bool | None = None,
 ) -> tuple[Gaussians, np.ndarray]:
-    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, logarithms of scales, logits of opacities.
+    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, ``logs_and_logits``.
     ``what`` the file should be is for the FileFormatError of harmonics [N, B, 3] of no degree."""
     if logs.shape[1] not in (1, 2, 3):
         raise FileFormatError(path, f"has {logs.shape[1]} scales per Gaussian", f"it should be {what}")
     if sh.shape[1] not in SH_BASES:
         problem = f"has {sh.shape[1] - 1} coefficients above SH degree 0, no whole SH degree"
         raise FileFormatError(path, problem, f"it should be {what}")
+    logs, logits = logs_and_logits(path, means, logs, logits, activated)
     return keep_finite(
         means,
         unit_quats(quats),

@@ -23,16 +23,8 @@ from scoup.io.splats import (
 from scoup.io.splats.splat_format import Preset, SplatFormat
 
 FORMATS = Registry("splat format", "scoup.splat_formats", SplatFormat, (
-    ply.FORMAT,
-    ply.COMPRESSED,
-    splat.FORMAT,
-    spz.FORMAT,
-    gltf.FORMAT,
-    gaussforge_formats.KSPLAT,
-    gaussforge_formats.SOG,
-    gaussforge_formats.SOG_FOLDER,
-    usd.FORMAT,
-    nerfstudio_checkpoint.FORMAT,
+    ply.FORMAT, ply.COMPRESSED, splat.FORMAT, spz.FORMAT, gltf.FORMAT, gaussforge_formats.KSPLAT,
+    gaussforge_formats.SOG, gaussforge_formats.SOG_FOLDER, usd.FORMAT, nerfstudio_checkpoint.FORMAT,
     gsplat_checkpoint.FORMAT,
 ))  # fmt: skip
 """All formats; in a folder the first that finds a splat is taken."""

@@ -14,14 +14,7 @@ import numpy as np
 from scoup.base import JsonNode, ScoupWarning
 from scoup.io.splats.activation import keep_finite, unit_quats
 from scoup.io.splats.axes import Columns, half_turn
-from scoup.io.splats.gltf_document import (
-    DEFAULTS,
-    SH_DEGREE,
-    SPLATS,
-    GltfDocument,
-    read_document,
-    sh_names,
-)
+from scoup.io.splats.gltf_document import DEFAULTS, SH_DEGREE, SPLATS, GltfDocument, read_document, sh_names
 from scoup.io.splats.gltf_write import AXIS, FEATURES, METADATA, write_gltf
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz import spz_columns

@@ -27,7 +27,7 @@ _WITHOUT_OBJECTS = (
 )
 
 
-def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
+def read_gsplat_checkpoint(path: str | Path, activated: bool = False) -> Gaussians:
     """Read one checkpoint file, or all ranks of the latest step in a ``ckpts`` folder (or above it).
 
     Pickles are read with torch's restricted loader: nothing in them is run.
@@ -47,7 +47,7 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
     if _is_flat(files[0], raw["scales"]):
         raw["scales"] = raw["scales"][:, :2]
     columns = (raw["means"], raw["quats"], raw["scales"], raw["opacities"])
-    return trained_gaussians(path, *columns, sh, _WHAT)[0]
+    return trained_gaussians(path, *columns, sh, _WHAT, activated)[0]
 
 
 def _is_flat(path: Path, logs: np.ndarray) -> bool:
@@ -121,4 +121,5 @@ FORMAT = SplatFormat(
     preset="gsplat",
     find=_in_results,
     in_scenes=False,
+    keeps_logs=True,
 )

@@ -21,16 +21,11 @@ _WHAT = "a checkpoint of nerfstudio's splatfacto"
 _EXPORT = "export the splat and use that: ns-export gaussian-splat"
 _PREFIXES = ("_model.gauss_params.", "_model.")  # newer, older
 _SHAPES = {  # of a Gaussian
-    "means": (3,),
-    "quats": (4,),
-    "scales": (-1,),
-    "opacities": (1,),
-    "features_dc": (3,),
-    "features_rest": (-1, 3),
-}
+    "means": (3,), "quats": (4,), "scales": (-1,), "opacities": (1,), "features_dc": (3,), "features_rest": (-1, 3),
+}  # fmt: skip
 
 
-def read_splatfacto(path: str | Path) -> Gaussians:
+def read_splatfacto(path: str | Path, activated: bool = False) -> Gaussians:
     """Read one checkpoint of splatfacto. It is read with torch's restricted loader: nothing in it is run."""
     path = Path(path)
     raw = _tensors(path, load_torch(path, _WHAT, _EXPORT))
@@ -40,7 +35,7 @@ def read_splatfacto(path: str | Path) -> Gaussians:
         constant = ((opacities_from_logits(constant) - 0.5) / SH_C0).astype(np.float32)
     sh = np.concatenate([constant[:, None], rest], axis=1)
     columns = (raw["means"], raw["quats"], raw["scales"], raw["opacities"][:, 0])
-    return trained_gaussians(path, *columns, sh, _WHAT)[0]
+    return trained_gaussians(path, *columns, sh, _WHAT, activated)[0]
 
 
 def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
@@ -79,4 +74,5 @@ FORMAT = SplatFormat(
     has_name=lambda path: re.fullmatch(r"step-\d{1,12}\.ckpt", path.name) is not None,
     find=_in_run,
     in_scenes=False,
+    keeps_logs=True,
 )

@@ -14,9 +14,9 @@ from scoup.base import MOST_ROWS_IN_MEMORY, FileFormatError, ScoupWarning, atomi
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
     SH_BASES,
-    find_activated,
     keep_finite,
     logits_from_opacities,
+    logs_and_logits,
     logs_from_scales,
     opacities_from_logits,
     scales_from_logs,
@@ -140,7 +140,11 @@ def _activated(table: PlyTable, activated: bool | None = None) -> dict[str, np.n
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
-    logs, logits = _logs_and_logits(table, activated)
+    scales, opacities = (
+        table.columns(tuple(name for name in _SCALE if name in table.names)),
+        table.columns(("opacity",)),
+    )
+    logs, logits = logs_and_logits(table.path, table.columns(_CENTER), scales, opacities[:, 0], activated)
     scales, opacities = scales_from_logs(three_logs(logs)), opacities_from_logits(logits)
     if _FILTER in table.names:
         # Of Mip-Splatting: the least size that the photographs resolve, which widens a Gaussian and makes it fainter.
@@ -165,31 +169,6 @@ def _base_colors(table: PlyTable) -> np.ndarray:
     kind = table.rows.dtype[_RGB[0]]
     most = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
     return ((table.columns(_RGB, np.float64) / most - 0.5) / SH_C0).astype(np.float32)
-
-
-def _logs_and_logits(table: PlyTable, activated: bool | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return [N, 1 to 3] logarithms of scales and [N] logits of opacities, float64."""
-    scales = table.columns(tuple(name for name in _SCALE if name in table.names), np.float64)
-    opacities = table.columns(("opacity",), np.float64)[:, 0]
-    if activated is False:
-        found = find_activated(table.columns(_CENTER), scales, opacities)
-        if any(found):
-            names = " and ".join(
-                name for name, one in zip(("scales", "opacities"), found, strict=True) if one
-            )
-            raise FileFormatError(
-                table.path,
-                f"seems to store {names} as they are, not as logarithms and logits (scales "
-                f"{np.nanmin(scales):.3g} to {np.nanmax(scales):.3g}, opacities {np.nanmin(opacities):.3g} to "
-                f"{np.nanmax(opacities):.3g})",
-                f"if so, rewrite it: scoup convert {table.path} OUT.ply `activated=True`",
-            )
-    with np.errstate(all="ignore"):
-        if activated and np.nanmin(scales, initial=0) >= 0:
-            scales = np.log(scales)
-        if activated and np.nanmin(opacities, initial=0) >= 0 and np.nanmax(opacities, initial=1) <= 1:
-            opacities = np.log(opacities) - np.log1p(-opacities)
-    return scales, opacities
 
 
 def read_ply(path: str | Path, activated: bool = False) -> Gaussians:
@@ -287,7 +266,9 @@ def _in_output(folder: Path) -> Path | None:
     return latest_point_cloud(folder) if is_output else None
 
 
-FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output, keeps_antialiased=True)
+FORMAT = SplatFormat(
+    "Inria PLY", (".ply",), read_ply, write_ply, find=_in_output, keeps_antialiased=True, keeps_logs=True
+)
 COMPRESSED = SplatFormat(
     "compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, keeps_antialiased=True
 )

@@ -115,21 +115,11 @@ def write_compressed_ply(gaussians: Gaussians, path: str | Path, overwrite: bool
 
 
 def _header(blocks: int, count: int, n_rest: int, antialiased: bool) -> bytes:
-    chunk = [
-        f"property float {end}_{prefix}{axis}"
-        for prefix, axes in _RANGES
-        for end in ("min", "max")
-        for axis in axes
-    ]
-    vertex = [f"property uint {name}" for name in _PACKED]
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {MIP if antialiased else 'written by SCOUP'}",
-        f"element chunk {blocks}",
-        *chunk,
-    ]
-    lines += [f"element vertex {count}", *vertex]
+    ranges = [f"{end}_{prefix}{axis}" for prefix, axes in _RANGES for end in ("min", "max") for axis in axes]
+    comment = MIP if antialiased else "written by SCOUP"
+    lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
+    lines += [f"element chunk {blocks}", *(f"property float {name}" for name in ranges)]
+    lines += [f"element vertex {count}", *(f"property uint {name}" for name in _PACKED)]
     if n_rest:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{number}" for number in range(n_rest))]
     return "\n".join([*lines, "end_header", ""]).encode()

@@ -48,7 +48,7 @@ class SplatFormat(Entry):
 
     endings: tuple[str, ...] = ()
     """Of the names of its files, in small letters; the longest ending of all formats decides."""
-    read: Callable[[Path], Gaussians] | None = None
+    read: Callable[..., Gaussians] | None = None
     """Takes a file with such a name, or what ``find`` returned; None: it is only written."""
     write: Callable[[Gaussians, Path, bool], None] | None = None
     """Takes the Gaussians, the file and whether to overwrite; None: it is only read."""
@@ -62,6 +62,8 @@ class SplatFormat(Entry):
     """Return the splat of a folder that a training has left: a file, or the folder itself; None if it is not one."""
     keeps_antialiased: bool = False
     """True if its files record training with antialiasing."""
+    keeps_logs: bool = False
+    """True if its files hold logarithms of scales and logits of opacities: ``read`` also takes ``activated``."""
     in_scenes: bool = True
     """True if a file of this format in the folder of a scene is its splat, and not a mesh."""
 
