@@ -14,6 +14,7 @@ _HOMES = {
     "RegionMap": "scoup.scene",
     "Regions": "scoup.scene",
     "SparseCodes": "scoup.scene",
+    "WorldFrame": "scoup.scene",
     "ScoupError": "scoup.base",
     "ScoupWarning": "scoup.base",
     "load_gaussians": "scoup.io",
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
     from scoup.scene import RegionMap as RegionMap
     from scoup.scene import Regions as Regions
     from scoup.scene import SparseCodes as SparseCodes
+    from scoup.scene import WorldFrame as WorldFrame
     from scoup.uplift import BuildSettings as BuildSettings
     from scoup.uplift import FieldSources as FieldSources
     from scoup.uplift import RegionEmbeddings as RegionEmbeddings

@@ -32,6 +32,7 @@ from scoup.base import (
 )
 from scoup.field import NO_THING, NameTable, ThingTable, place_of
 from scoup.query import OrientedBox, Thing, ThingIndex
+from scoup.scene import WorldFrame
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -79,6 +80,7 @@ class Scan:
     field: str  # its file, relative to the folder of the archive
     levels: tuple[str, ...]
     columns: OwnColumns
+    world: WorldFrame  # of its field
     row: int  # of the vector of its first thing in the matrix
     vectors_checksum: int  # CRC-32
     words: str  # digest of the everyday words that its things were compared with
@@ -154,7 +156,10 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
     )
     levels, columns = next(texts), check_columns(header["columns"])
     _check_arrays(arrays, len(levels))
-    scan = Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    world = WorldFrame.of_dict(header.get("frame", {}))
+    scan = Scan(
+        file=file, levels=levels, columns=columns, world=world, texts=next(texts), arrays=arrays, **plain
+    )
     if scan.names is not None:
         scan.names.check(len(scan))
     if scan.row < 0:
@@ -288,6 +293,7 @@ def _header(scan: Scan) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
+        **({} if scan.world == WorldFrame() else {"frame": scan.world.to_dict()}),
         "arrays": base64.b64encode(data).decode(),
     }
     return {**header, "checksum": _checksum(header)}

@@ -24,11 +24,13 @@ _HOMES = {
     "read_facts": "scoup.field.facts",
     "relative_place": "scoup.field.container",
     "relevancy": "scoup.field.cosines",
+    "write_world": "scoup.field.artefact",
 }
 
 __all__ = [*_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from scoup.field.artefact import write_world as write_world
     from scoup.field.cache import Cache as Cache
     from scoup.field.checks import MOST_THINGS as MOST_THINGS
     from scoup.field.container import place_of as place_of

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup.base import InputError, SealedFile, WriteError, atomic_path, check_output
 from scoup.field.checks import MOST_THINGS
-from scoup.field.container import SCHEMA, VERSION, place_of, read_content, relative_place
+from scoup.field.container import (
+    SCHEMA,
+    VERSION,
+    field_damage_named,
+    place_of,
+    read_content,
+    relative_place,
+)
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
-from scoup.scene import Camera, Cameras, Gaussians
+from scoup.scene import Camera, Cameras, Gaussians, WorldFrame
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _NAMES = ("presence", "rows", "things", "votes")
@@ -74,11 +83,36 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
         **({} if names is None else {"names": list(names.texts)}),
+        **_frame_entry(parts.info.world),
     }
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
     metadata = SealedFile.metadata(header, {name: tensor.numpy() for name, tensor in tensors.items()})
     with atomic_path(path, overwrite) as temporary:
         _write(temporary, tensors, metadata)
+
+
+def write_world(path: Path, world: WorldFrame) -> None:
+    """Write a frame of the world into the file of a field; all tensors keep their bytes.
+
+    Raises:
+        MissingFileError, FileFormatError, WriteError: the file cannot be read or replaced.
+    """
+    content = read_content(path)
+    left_out = "checksum", "checksums", "frame"
+    header = {name: value for name, value in content.header.items() if name not in left_out}
+    metadata = SealedFile.metadata(header | _frame_entry(world), content.arrays)
+    tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
+    with atomic_path(path, overwrite=True) as temporary:
+        _write(temporary, tensors, metadata)
+
+
+def _frame_entry(world: WorldFrame) -> dict[str, Any]:
+    return {} if world == WorldFrame() else {"frame": world.to_dict()}
+
+
+def _world(path: Path, header: Mapping[str, Any]) -> WorldFrame:
+    with field_damage_named(path):
+        return WorldFrame.of_dict(header.get("frame", {}))
 
 
 def read_field(path: Path) -> FieldParts:
@@ -97,6 +131,7 @@ def read_field(path: Path) -> FieldParts:
         raster_preset=header["raster_preset"],
         provenance=header["provenance"],
         words=place_of(path, header["words"]),
+        world=_world(path, header),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
