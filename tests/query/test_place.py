@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,7 +19,7 @@ from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.place import Place, place_of
 from scoup.query.things import MOST_LINKED, Thing, connected_parts, rough_parts
-from scoup.scene import Gaussians
+from scoup.scene import Gaussians, WorldFrame
 from support import examples, gaussians_at, unit
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -32,7 +32,10 @@ class Placed:
     gaussians: Gaussians
     relevancy: Tensor  # [N] of its only level
     thing_table: None = None
-    cameras: None = None
+    world: WorldFrame = field(default_factory=WorldFrame)
+
+    def up(self) -> Tensor:
+        return UP
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
         return self.relevancy[None, None]

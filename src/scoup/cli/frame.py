@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from scoup.base import InputError
 from scoup.cli.console import Console
+from scoup.cli.info import lines_of
 from scoup.cli.options import DeviceCommon, Direction, FieldFile, arg
 from scoup.cli.query_options import TextOptions
 
 if TYPE_CHECKING:
-    from scoup.query import LanguageField, Place
+    from scoup.query import Place, Thing
     from scoup.scene import WorldFrame
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class MetreOptions:
-    """The length of the scene's unit, or a length that measures it."""
-
-    metres_per_unit: float | None = None
-    """Length of the scene's unit in metres."""
-    thing: str | None = None
-    """A thing whose size or distance is known: a text or phrase, such as door."""
-    longest_side: float | None = None
-    """Longest side of the box of --thing in metres."""
-    other: str | None = None
-    """Another thing, whose distance from --thing is known."""
-    distance: float | None = None
-    """Distance between the positions of --thing and --other in metres."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlaceOptions:
-    """Directions, place on Earth, and name."""
-
-    up: Annotated[Axis | tuple[float, float, float] | None, arg(metavar="AXIS|X Y Z")] = None
-    """The direction that is up: x, y, z, -x, -y, -z, or a vector. Default: estimated from the cameras."""
-    north: Direction = None
-    """The direction that is north."""
-    origin: Annotated[tuple[float, float, float] | None, arg(metavar="LATITUDE LONGITUDE HEIGHT")] = None
-    """Where on Earth 0, 0, 0 of the scene is: degrees, and metres above the ellipsoid (WGS 84)."""
-    name: str | None = None
-    """Name of the frame, such as the frame_id of ROS."""
+_LENGTHS = {"metres_per_unit": (), "longest_side": ("thing",), "distance": ("thing", "other")}
+"""Lengths in metres, and the things that each is of."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +30,24 @@ class Frame:
 
     field: FieldFile
     """The .scoup file; it is changed."""
-    metre: Annotated[MetreOptions, arg(name="metre")] = MetreOptions()
-    place: Annotated[PlaceOptions, arg(name="place")] = PlaceOptions()
+    metres_per_unit: float | None = None
+    """Length of the scene's unit in metres."""
+    thing: str | None = None
+    """A thing whose size or distance is known, which measures the unit: a text or phrase, such as door."""
+    longest_side: float | None = None
+    """Longest side of the box of --thing in metres."""
+    other: str | None = None
+    """Another thing, whose distance from --thing is known."""
+    distance: float | None = None
+    """Distance between the positions of --thing and --other in metres."""
+    up: Annotated[Axis | tuple[float, float, float] | None, arg(metavar="AXIS|X Y Z")] = None
+    """The direction that is up: x, y, z, -x, -y, -z, or a vector. Default: estimated from the cameras."""
+    north: Direction = None
+    """The direction that is north."""
+    origin: Annotated[tuple[float, float, float] | None, arg(metavar="LATITUDE LONGITUDE HEIGHT")] = None
+    """Where on Earth 0, 0, 0 of the scene is: degrees, and metres above the ellipsoid (WGS 84)."""
+    name: str | None = None
+    """Name of the frame, such as the frame_id of ROS."""
     opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
     common: DeviceCommon = DeviceCommon()
 
@@ -68,79 +57,54 @@ class Frame:
         from scoup.scene import WorldFrame
 
         before = WorldFrame.of_dict(read_facts(self.field).get("frame", {}))
-        world = replace(before, **self._place())
-        world = replace(world, **self._metre(console, world))
+        up = self.up
+        if isinstance(up, str):
+            up = tuple(float(f"{up[:-1]}1") if axis == up[-1] else 0.0 for axis in "xyz")
+        passed = {"up": up, "north": self.north, "origin": self.origin, "name": self.name}
+        world = replace(before, **{name: value for name, value in passed.items() if value is not None})
+        if (unit := self._metres_per_unit(console, world)) is not None:
+            world = replace(world, metres_per_unit=unit)
         if world != before:
             write_world(self.field, world)
-        for line in _lines(world):
+        for line in lines_of({**world.to_dict(), "name": world.name or None}):
             console.say(line)
+        if world.metres_per_unit is None:
+            console.say(
+                "lengths are in scene units: pass --metres-per-unit, or --thing door --longest-side 2"
+            )
         console.result({"field": self.field, "frame": world.to_dict()})
 
-    def _place(self) -> dict[str, Any]:
-        values = vars(self.place)
-        passed = {name: value for name, value in values.items() if value is not None}
-        if isinstance(up := passed.get("up"), str):
-            passed["up"] = tuple(float(f"{up[:-1]}1") if name == up[-1] else 0.0 for name in "xyz")
-        return passed
-
-    def _metre(self, console: Console, world: WorldFrame) -> dict[str, float]:
-        """Return the metres per unit that were passed, or measured with the up of a frame, if any."""
+    def _metres_per_unit(self, console: Console, world: WorldFrame) -> float | None:
+        """Return the length of the unit that was passed, or measured with the up of a frame; None without any."""
         from scoup.scene import check_metres
 
-        metre = self.metre
-        lengths = {
-            "--metres-per-unit": metre.metres_per_unit,
-            "--longest-side": metre.longest_side,
-            "--distance": metre.distance,
-        }
-        passed = [(option, length) for option, length in lengths.items() if length is not None]
-        for option, length in passed:
-            check_metres(length, option)
-        things = metre.thing is not None, metre.other is not None
-        wanted = {"--longest-side": (True, False), "--distance": (True, True)}
-        if len(passed) > 1 or things != wanted.get(passed[0][0] if passed else "", (False, False)):
+        values = vars(self)
+        lengths = [name for name in _LENGTHS if values[name] is not None]
+        things = tuple(name for name in ("thing", "other") if values[name] is not None)
+        for name in lengths:
+            check_metres(values[name], f"--{name.replace('_', '-')}")
+        if len(lengths) > 1 or things != (_LENGTHS[lengths[0]] if lengths else ()):
             raise InputError(
                 "pass --metres-per-unit, or --thing with --longest-side, or --thing and --other with --distance"
             )
-        if not passed:
-            return {}
-        ((_, length),) = passed
-        if metre.thing is None:
-            return {"metres_per_unit": length}
+        if not things:
+            return self.metres_per_unit
         field = self.opening.open(self.field, self.common.device).with_world(world)
-        place = self._located(field, metre.thing)
-        assert place.box is not None
-        measured, what = float(place.box.extent.max()), f"the longest side of {metre.thing}"
-        if metre.other is not None:
-            other = self._located(field, metre.other)
-            assert place.position is not None
-            assert other.position is not None
-            measured = float((place.position - other.position).norm())
-            what = f"the distance between {metre.thing} and {metre.other}"
+        places = field.location(self.opening.question(field, [values[name] for name in things]))
+        found = [_sure_thing(place) for place in places]
+        across = (
+            found[0].box.extent.max() if len(found) == 1 else (found[0].position - found[1].position).norm()
+        )
+        measured, length = float(across), values[lengths[0]]
+        what = f"{' and '.join(place.answer.text for place in places)}: {lengths[0].replace('_', ' ')}"
         if not measured:
             raise InputError(f"{what} is 0 in the scene; name another thing")
-        console.say(f"{what} is {measured:.4g} scene units and {length:g} m")
-        return {"metres_per_unit": length / measured}
-
-    def _located(self, field: LanguageField, text: str) -> Place:
-        """Return the place of a text that surely is in the scene."""
-        place = field.location(self.opening.question(field, text))
-        if place.thing is None or place.answer.certainty == "doubtful":
-            remedy = "name a thing that is surely there, or pass --metres-per-unit"
-            raise InputError(f"{text}: {place.answer.remark()}; {remedy}")
-        return place
+        console.say(f"{what} {measured:.4g} scene units, {length:g} m")
+        return length / measured
 
 
-def _lines(world: WorldFrame) -> list[str]:
-    unit = world.metres_per_unit
-    known = {
-        "unit": "not known: answers are in scene units" if unit is None else f"{unit:.6g} m",
-        "up": world.up or "estimated from the cameras",
-        "north": world.north or "not known",
-        "origin": world.origin or "not known",
-        "name": world.name or "none",
-    }
-    return [
-        f"{name}: {' '.join(f'{number:g}' for number in value) if isinstance(value, tuple) else value}"
-        for name, value in known.items()
-    ]
+def _sure_thing(place: Place) -> Thing:
+    if place.thing is None or place.answer.certainty == "doubtful":
+        remedy = "name a thing that is surely there, or pass --metres-per-unit"
+        raise InputError(f"{place.answer.text}: {place.answer.remark()}; {remedy}")
+    return place.thing

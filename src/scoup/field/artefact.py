@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -110,11 +109,6 @@ def _frame_entry(world: WorldFrame) -> dict[str, Any]:
     return {} if world == WorldFrame() else {"frame": world.to_dict()}
 
 
-def _world(path: Path, header: Mapping[str, Any]) -> WorldFrame:
-    with field_damage_named(path):
-        return WorldFrame.of_dict(header.get("frame", {}))
-
-
 def read_field(path: Path) -> FieldParts:
     """Read a ``.scoup`` file; see ``LanguageField.load``.
 
@@ -123,6 +117,8 @@ def read_field(path: Path) -> FieldParts:
     content = read_content(path)
     header, geometry = content.header, content.header["geometry"]
     tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
+    with field_damage_named(path):
+        world = WorldFrame.of_dict(header.get("frame", {}))
     info = FieldInfo(
         levels=tuple(header["levels"]),
         embedding_model=header["embedding_model"],
@@ -131,7 +127,7 @@ def read_field(path: Path) -> FieldParts:
         raster_preset=header["raster_preset"],
         provenance=header["provenance"],
         words=place_of(path, header["words"]),
-        world=_world(path, header),
+        world=world,
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
