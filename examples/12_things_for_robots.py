@@ -22,8 +22,8 @@ if len(sys.argv) < 4:
     sys.exit(__doc__)
 path, table, phrase = sys.argv[1:4]
 field = scoup.LanguageField.load(path, words=table)
-UNIT = field.world.metres_per_unit
-if UNIT is None:
+UNIT = field.world.metres_per_unit or 0.0
+if not UNIT:
     sys.exit(f"{path}: has no metre; run scoup frame {path} --thing door --longest-side 2.0")
 right, up, away = field.frame().axes
 ROTATION = torch.stack([away, -right, up])

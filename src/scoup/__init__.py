@@ -14,7 +14,7 @@ _HOMES = {
     "RegionMap": "scoup.scene",
     "Regions": "scoup.scene",
     "SparseCodes": "scoup.scene",
-    "WorldFrame": "scoup.scene",
+    "WorldFrame": "scoup.base",
     "ScoupError": "scoup.base",
     "ScoupWarning": "scoup.base",
     "load_gaussians": "scoup.io",
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from scoup.base import VERSION as __version__
     from scoup.base import ScoupError as ScoupError
     from scoup.base import ScoupWarning as ScoupWarning
+    from scoup.base import WorldFrame as WorldFrame
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract import choose_cameras as choose_cameras
@@ -91,7 +92,6 @@ if TYPE_CHECKING:
     from scoup.scene import RegionMap as RegionMap
     from scoup.scene import Regions as Regions
     from scoup.scene import SparseCodes as SparseCodes
-    from scoup.scene import WorldFrame as WorldFrame
     from scoup.uplift import BuildSettings as BuildSettings
     from scoup.uplift import FieldSources as FieldSources
     from scoup.uplift import RegionEmbeddings as RegionEmbeddings

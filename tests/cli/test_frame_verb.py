@@ -13,10 +13,10 @@ import torch
 
 from cli_support import BUILD, QUICK, add_words, printed, refused, run, run_json
 from scoup.archive import Archive
+from scoup.base import WorldFrame
 from scoup.field import Field, read_facts
 from scoup.io import load_gaussians, save_gaussians
 from scoup.query import LanguageField
-from scoup.scene import WorldFrame
 
 pytestmark = pytest.mark.usefixtures("here")
 WORLD = WorldFrame(0.5, (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (48.2, 16.4, 180.0), "map")

@@ -19,11 +19,11 @@ from splat_damages import spz as packed
 
 from io_samples import same_gaussians, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base import FileFormatError, ScoupWarning
+from scoup.base import FileFormatError, ScoupWarning, WorldFrame
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
-from scoup.scene import Gaussians, WorldFrame, rotation_matrices, sh_basis
+from scoup.scene import Gaussians, rotation_matrices, sh_basis
 from support import unit
 
 

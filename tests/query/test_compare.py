@@ -10,10 +10,10 @@ import torch
 
 from messages import refuses, warns
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
-from scoup.base import ScoupWarning
+from scoup.base import ScoupWarning, WorldFrame
 from scoup.query.comparison import compare
 from scoup.query.language_field import LanguageField
-from scoup.scene import Camera, Cameras, WorldFrame
+from scoup.scene import Camera, Cameras
 
 WORDS = [*dict.fromkeys(box.name for box in ROOM)]
 MUG, LAPTOP, LAMP = 1, 3, 4

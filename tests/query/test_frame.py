@@ -14,8 +14,9 @@ from torch import Tensor
 
 from messages import refuses
 from query.planted_room import FRONT, Box, planted_room
+from scoup.base import WorldFrame
 from scoup.query.paths import MOST_STOPS, camera_path, turntable
-from scoup.scene import Camera, Cameras, WorldFrame, estimate_up
+from scoup.scene import Camera, Cameras, estimate_up
 from support import examples
 
 UPRIGHT = WorldFrame(up=(0, 0, 2))
@@ -100,7 +101,7 @@ def test_the_camera_that_sees_most_is_the_viewer() -> None:
 def test_what_is_no_direction_is_refused() -> None:
     for up in ((0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)):
         with refuses():
-            WorldFrame(up=up)
+            WorldFrame.of_dict({"up": up})
 
 
 SIDES = np.linalg.qr([[0.2, 1.0, 0.3], [-0.9, 0.0, 0.4], [0.4, 0.0, 1.0]])[0].T

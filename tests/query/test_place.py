@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from query.conftest import ASKED
+from scoup.base import WorldFrame
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.place import Place, place_of
 from scoup.query.things import MOST_LINKED, Thing, connected_parts, rough_parts
-from scoup.scene import Gaussians, WorldFrame
+from scoup.scene import Gaussians
 from support import examples, gaussians_at, unit
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

@@ -18,12 +18,11 @@ from messages import check_message, refuses
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
 from scoup.archive import Archive, archive_tool
-from scoup.base import InputError, ScoupError
+from scoup.base import InputError, ScoupError, WorldFrame
 from scoup.field import read_facts
 from scoup.io import load_gaussians
 from scoup.query import LanguageField
 from scoup.query.relations import overlaps
-from scoup.scene import WorldFrame
 from scoup.view.scene_tools import MOST_MARKED, SceneTools
 from scoup.view.viewed_field import ViewedField
 

@@ -42,6 +42,7 @@ from scoup.base import (
     OutputExistsError,
     ScoupError,
     ScoupWarning,
+    WorldFrame,
     check_arguments,
     check_format_version,
     looked_up,
@@ -58,7 +59,6 @@ from scoup.query import (
     ThingIndex,
     warn_of_another_model,
 )
-from scoup.scene import WorldFrame
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -103,7 +103,7 @@ class FoundThing:
 
     def describe(self) -> str:
         """Return scan, number, position and extent in words, for people."""
-        place = self.world.place(self.position, self.box.extent)
+        place = self.world.place(self.position.tolist(), self.box.extent.tolist())
         return f"{self.scan}, thing {self.thing}, level {self.level}, at {place}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class FoundThing:
             "score": None if self.score is None else round(self.score, 4),
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
-            **self.world.metres(self.position, self.box.extent),
+            **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
             "gaussians": self.n_gaussians,
             "columns": dict(self.columns),
             "field": str(self.field_path),

@@ -25,6 +25,7 @@ from scoup.base import (
     FileFormatError,
     InputError,
     MissingFileError,
+    WorldFrame,
     WriteError,
     atomic_path,
     check_format_version,
@@ -32,7 +33,6 @@ from scoup.base import (
 )
 from scoup.field import NO_THING, NameTable, ThingTable, place_of
 from scoup.query import OrientedBox, Thing, ThingIndex
-from scoup.scene import WorldFrame
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

@@ -163,8 +163,8 @@ def report_field(
 
 def with_frame_of(out: Path, field: Field) -> Field:
     """Return a field with the frame of the file that it replaces, if that is of the same Gaussians."""
+    from scoup.base import WorldFrame
     from scoup.field import read_facts
-    from scoup.scene import WorldFrame
 
     if out.is_file() and field.world == WorldFrame():
         with suppress(InputError):  # a damaged one

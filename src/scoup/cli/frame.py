@@ -12,8 +12,8 @@ from scoup.cli.options import DeviceCommon, Direction, FieldFile, arg
 from scoup.cli.query_options import TextOptions
 
 if TYPE_CHECKING:
+    from scoup.base import WorldFrame
     from scoup.query import Place, Thing
-    from scoup.scene import WorldFrame
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 _LENGTHS = {"metres_per_unit": (), "longest_side": ("thing",), "distance": ("thing", "other")}
@@ -53,8 +53,8 @@ class Frame:
 
     def run(self, console: Console) -> None:
         """Measure, write and print."""
+        from scoup.base import WorldFrame
         from scoup.field import read_facts, write_world
-        from scoup.scene import WorldFrame
 
         before = WorldFrame.of_dict(read_facts(self.field).get("frame", {}))
         up = self.up
@@ -76,7 +76,7 @@ class Frame:
 
     def _metres_per_unit(self, console: Console, world: WorldFrame) -> float | None:
         """Return the length of the unit that was passed, or measured with the up of a frame; None without any."""
-        from scoup.scene import check_metres
+        from scoup.base import check_metres
 
         values = vars(self)
         lengths = [name for name in _LENGTHS if values[name] is not None]

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from scoup.base import InputError, SealedFile, WriteError, atomic_path, check_output
+from scoup.base import InputError, WorldFrame, check_output
 from scoup.field.checks import MOST_THINGS
 from scoup.field.container import (
     SCHEMA,
     VERSION,
-    field_damage_named,
+    frame_entry,
     place_of,
     read_content,
     relative_place,
+    write_content,
 )
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
-from scoup.scene import Camera, Cameras, Gaussians, WorldFrame
+from scoup.scene import Camera, Cameras, Gaussians
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _NAMES = ("presence", "rows", "things", "votes")
@@ -66,7 +64,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
     names = None if parts.things is None else parts.things.names
     if names is not None:
         tensors |= {f"names.{name}": getattr(names, name) for name in _NAMES}
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    arrays = {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}
     header = {
         "schema": SCHEMA,
         "version": VERSION,
@@ -82,31 +80,9 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
         **({} if names is None else {"names": list(names.texts)}),
-        **_frame_entry(parts.info.world),
+        **frame_entry(parts.info.world),
     }
-    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = SealedFile.metadata(header, {name: tensor.numpy() for name, tensor in tensors.items()})
-    with atomic_path(path, overwrite) as temporary:
-        _write(temporary, tensors, metadata)
-
-
-def write_world(path: Path, world: WorldFrame) -> None:
-    """Write a frame of the world into the file of a field; all tensors keep their bytes.
-
-    Raises:
-        MissingFileError, FileFormatError, WriteError: the file cannot be read or replaced.
-    """
-    content = read_content(path)
-    left_out = "checksum", "checksums", "frame"
-    header = {name: value for name, value in content.header.items() if name not in left_out}
-    metadata = SealedFile.metadata(header | _frame_entry(world), content.arrays)
-    tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
-    with atomic_path(path, overwrite=True) as temporary:
-        _write(temporary, tensors, metadata)
-
-
-def _frame_entry(world: WorldFrame) -> dict[str, Any]:
-    return {} if world == WorldFrame() else {"frame": world.to_dict()}
+    write_content(path, header, arrays, overwrite)
 
 
 def read_field(path: Path) -> FieldParts:
@@ -117,8 +93,6 @@ def read_field(path: Path) -> FieldParts:
     content = read_content(path)
     header, geometry = content.header, content.header["geometry"]
     tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
-    with field_damage_named(path):
-        world = WorldFrame.of_dict(header.get("frame", {}))
     info = FieldInfo(
         levels=tuple(header["levels"]),
         embedding_model=header["embedding_model"],
@@ -127,7 +101,7 @@ def read_field(path: Path) -> FieldParts:
         raster_preset=header["raster_preset"],
         provenance=header["provenance"],
         words=place_of(path, header["words"]),
-        world=world,
+        world=WorldFrame.of_dict(header.get("frame", {})),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
@@ -146,26 +120,6 @@ def read_field(path: Path) -> FieldParts:
         _cameras(tensors, header["cameras"]),
         _things(tensors, header.get("names")),
     )
-
-
-def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
-    from safetensors import SafetensorError
-    from safetensors.torch import save_file
-
-    try:
-        temporary.touch()
-        permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
-        save_file(tensors, temporary, metadata)
-        temporary.chmod(permissions)
-    except OSError as error:
-        raise WriteError.of(temporary, error) from error
-    except SafetensorError as error:
-        # Only the text contains the system's own number: "(os error 28)", or "code: 28" in older versions.
-        number = re.search(r"(?:os error|code:) (\d+)", str(error))
-        if number is None:
-            raise
-        code = int(number[1])
-        raise WriteError.of(temporary, OSError(code, os.strerror(code))) from error
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

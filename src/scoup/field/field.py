@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, check_arguments, counted
+from scoup.base import InputError, WorldFrame, check_arguments, counted
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache, state_of
@@ -24,7 +24,7 @@ from scoup.field.field_info import FieldInfo, check_parts
 from scoup.field.renders import Vectors
 from scoup.field.thing_table import NameTable, ThingTable
 from scoup.io import load_gaussians
-from scoup.scene import Camera, Cameras, Gaussians, WorldFrame, chosen_rows, estimate_up, rows_of
+from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, estimate_up, rows_of
 
 Value = TypeVar("Value")
 Own = TypeVar("Own", bound="Field")

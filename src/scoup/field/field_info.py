@@ -8,10 +8,9 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base import InputError
+from scoup.base import InputError, WorldFrame
 from scoup.field.checks import CODES, check_codes, tensor_array
 from scoup.field.thing_table import ThingTable
-from scoup.scene import WorldFrame
 
 
 @dataclass(frozen=True)

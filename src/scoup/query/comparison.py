@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base import InputError, ScoupWarning, rounded_vector
+from scoup.base import InputError, ScoupWarning, WorldFrame, rounded_vector
 from scoup.field import NO_THING, Field
 from scoup.query import constants
 from scoup.query.boxes import PointSets
@@ -28,7 +28,6 @@ from scoup.query.language_field import LanguageField
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.query.view_answer import render_depth
-from scoup.scene import WorldFrame
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base import brief, rounded_vector
+from scoup.base import WorldFrame, brief, rounded_vector
 from scoup.field import Field
-from scoup.scene import Camera, WorldFrame
+from scoup.scene import Camera
 
 
 @dataclass(frozen=True, eq=False)

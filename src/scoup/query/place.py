@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base import card, rounded_vector
+from scoup.base import card
 from scoup.field import Field
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox
@@ -60,10 +60,9 @@ class Place:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, as of ``Thing``."""
-        place: dict[str, Any] = {"position": None, "box": None}
-        if (thing := self.thing) is not None:
-            place = {**thing.world.metres(thing.position, thing.box.extent),
-                     "position": rounded_vector(thing.position.tolist()), "box": thing.box.to_dict()}  # fmt: skip
+        kept = "position_metres", "extent_metres", "position", "box"
+        thing = {} if self.thing is None else self.thing.to_dict()
+        place = {name: thing[name] for name in kept if name in thing} or {"position": None, "box": None}
         return {**place, **self.answer.to_dict()}
 
 

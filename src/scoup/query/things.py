@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import card, rounded_vector
+from scoup.base import WorldFrame, card, rounded_vector
 from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
@@ -23,7 +23,7 @@ from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
-from scoup.scene import WorldFrame, linked_parts, nearest_points
+from scoup.scene import linked_parts, nearest_points
 
 NEIGHBOURS = 8
 """Each point is linked to so many of its nearest others."""
@@ -120,7 +120,7 @@ class Thing:
 
     def describe(self) -> str:
         """Return position and extent in words, for people."""
-        return self.world.place(self.position, self.box.extent)
+        return self.world.place(self.position.tolist(), self.box.extent.tolist())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the thing as plain JSON values, rounded; in metres, too, if its field knows the length of its unit."""
@@ -132,7 +132,7 @@ class Thing:
             "score": None if self.score is None else round(self.score, 4),
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
-            **self.world.metres(self.position, self.box.extent),
+            **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
             "gaussians": self.n_gaussians,
             "regions": self.n_regions,
         }

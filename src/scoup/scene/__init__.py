@@ -36,7 +36,6 @@ from scoup.scene.regions import (
     resize_labels,
 )
 from scoup.scene.sanity_checks import sanity_problems
-from scoup.scene.world_frame import WorldFrame, check_metres
 
 __all__ = [
     "LEAST_EMBEDDING",
@@ -50,9 +49,7 @@ __all__ = [
     "RegionMap",
     "Regions",
     "SparseCodes",
-    "WorldFrame",
     "check_atoms",
-    "check_metres",
     "checked_direction",
     "chosen_rows",
     "code_arrays",

@@ -109,15 +109,15 @@ def quats_of_rotations(rotations: Tensor) -> Tensor:
     return torch.nn.functional.normalize(outer[torch.arange(len(outer)), largest], dim=1)
 
 
-def checked_direction(up: Sequence[float], name: str = "up") -> Tensor:
-    """Return [3] float64, the unit vector of a direction, whose ``name`` errors say.
+def checked_direction(up: Sequence[float]) -> Tensor:
+    """Return [3] float64, the unit vector of a direction.
 
     Raises:
         InputError: it is none.
     """
     direction = torch.as_tensor(tuple(up), dtype=torch.float64).flatten()
     if direction.shape != (3,) or not bool(direction.isfinite().all()) or not bool(direction.any()):
-        raise InputError(f"{name}: expected three numbers that are not all 0, got {list(up)}")
+        raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
     direction = direction / direction.abs().max()  # whose squares are in range
     return direction / direction.norm()
 

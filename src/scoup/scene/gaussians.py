@@ -9,8 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base import InputError, geometry_fingerprint
-from scoup.scene.world_frame import WorldFrame
+from scoup.base import InputError, WorldFrame, geometry_fingerprint
 
 MAX_SH_DEGREE = 4
 TENSORS = ("means", "quats", "scales", "opacities", "sh")

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.scene import Gaussians, WorldFrame
+from scoup.base import WorldFrame
+from scoup.scene import Gaussians
 
 Axis = Literal["x", "y", "z"]
 """Of a half-turn: x from 3DGS to right, up, back; z to left, up, forward."""
@@ -61,8 +62,7 @@ def upright(world: WorldFrame, axis: Axis) -> np.ndarray:
         return np.eye(3)
     from scipy.spatial.transform import Rotation
 
-    rotation, _ = Rotation.align_vectors([[0.0, 1.0, 0.0]], [turned_direction(world.up, axis)])
-    return rotation.as_matrix()
+    return Rotation.align_vectors([[0.0, 1.0, 0.0]], [turned_direction(world.up, axis)])[0].as_matrix()
 
 
 def turned_direction(direction: Sequence[float], axis: Axis) -> tuple[float, ...]:

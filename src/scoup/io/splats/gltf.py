@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from scoup.base import JsonNode, ScoupWarning
+from scoup.base import JsonNode, ScoupWarning, WorldFrame
 from scoup.io.similarity import similarity_scale
 from scoup.io.splats.activation import keep_finite, unit_quats
 from scoup.io.splats.axes import Columns, half_turn, turned_direction
@@ -27,7 +27,7 @@ from scoup.io.splats.gltf_document import (
 from scoup.io.splats.gltf_write import AXIS, FEATURES, METADATA, write_gltf
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz import spz_columns
-from scoup.scene import Gaussians, WorldFrame, rotation_matrices
+from scoup.scene import Gaussians, rotation_matrices
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}

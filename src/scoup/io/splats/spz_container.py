@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from scoup.base import FileFormatError, ScoupWarning, counted
+from scoup.base import FileFormatError, ScoupWarning, WorldFrame, counted
 from scoup.io.splats.spz_georeference import GEOREFERENCE, georeference_record, read_georeference
-from scoup.scene import WorldFrame
 
 MAGIC = 0x5053474E  # "NGSP"
 _START = struct.Struct(

@@ -11,8 +11,7 @@ import struct
 
 import numpy as np
 
-from scoup.base import InputError
-from scoup.scene import WorldFrame
+from scoup.base import InputError, WorldFrame
 
 GEOREFERENCE = 0x4E530001  # the type of its records
 _RECORD = struct.Struct(

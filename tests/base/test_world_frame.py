@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-import torch
 
 from messages import refuses
-from scoup.scene import WorldFrame
+from scoup.base import WorldFrame
 
 PLACE = WorldFrame(0.25, (0.1, -0.9, 0.2), (0.8, 0.1, 0.5), (48.2082, 16.3738, 187.5), "map")
 
 
 def test_lengths_are_in_metres_once_a_metre_is_known() -> None:
-    position, extent = torch.tensor([4.0, 0, -1]), torch.tensor([1.0, 0.5, 0.123456])
+    position, extent = [4.0, 0.0, -1.0], [1.0, 0.5, 0.123456]
     assert WorldFrame().place(position, extent) == "[4, 0, -1], extent 1 x 0.5 x 0.123 scene units"
     assert WorldFrame().metres(position, extent) == {}
     framed = WorldFrame(0.5)
@@ -27,6 +26,14 @@ def test_lengths_are_in_metres_once_a_metre_is_known() -> None:
 def test_the_record_keeps_every_bit(frame: WorldFrame) -> None:
     assert WorldFrame.of_dict(frame.to_dict()) == frame
     assert WorldFrame.of_dict({**frame.to_dict(), "of a newer version": 1}) == frame
+
+
+@pytest.mark.parametrize("record", [
+    {"metres_per_unit": "x"}, {"up": "xyz"}, {"up": 3}, {"origin": [1, 2]}, {"origin": [None] * 3}, {"name": 7},
+])  # fmt: skip
+def test_a_damaged_record_is_refused(record: dict[str, Any]) -> None:
+    with refuses():
+        WorldFrame.of_dict(record)
 
 
 @pytest.mark.parametrize("values", [

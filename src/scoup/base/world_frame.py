@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from torch import Tensor
-
-from scoup.base import InputError, rounded_vector
-from scoup.scene.directions import checked_direction
+from scoup.base.errors import InputError
+from scoup.base.texts import rounded_vector
 
 Vector = tuple[float, float, float]
 _ROUNDING = 1e-9  # of a unit vector, which is kept to the last bit
@@ -40,13 +38,13 @@ class WorldFrame:
     """Name of the frame, such as the ``frame_id`` of ROS."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InputError(f"name: expected a text, got {self.name!r:.50}")
         if self.metres_per_unit is not None:
             check_metres(self.metres_per_unit, "metres per unit")
         for name in ("up", "north"):
             if (direction := getattr(self, name)) is not None:
-                unit = checked_direction(direction, name).tolist()
-                exact = math.dist(unit, direction) < _ROUNDING
-                object.__setattr__(self, name, tuple(map(float, direction)) if exact else tuple(unit))
+                object.__setattr__(self, name, _unit_vector(name, *direction))
         if self.up and self.north and abs(sum(map(float.__mul__, self.up, self.north))) > 0.99:
             raise InputError(f"north {list(self.north)} is up or down; pass a horizontal direction")
         if self.origin is not None:
@@ -59,37 +57,50 @@ class WorldFrame:
 
     @classmethod
     def of_dict(cls, record: Mapping[str, Any]) -> WorldFrame:
-        """Return the frame of ``to_dict``; unknown keys are ignored."""
+        """Return the frame of ``to_dict``; unknown keys are ignored.
+
+        Raises:
+            InputError: a value is not what it should be.
+        """
         values = {name: record[name] for name in asdict(cls()) if record.get(name) is not None}
-        return cls(
-            **{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        )
+        try:
+            return cls(**values)
+        except InputError as error:
+            raise InputError(f"frame: {error}") from error
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("frame: has values of other types than a frame of the world") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {
-            name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()
-        }
+        return {name: list(value) if type(value) is tuple else value for name, value in asdict(self).items()}
 
-    def lengths(self, values: Sequence[float]) -> str:
+    def lengths(self, values: Iterable[float]) -> str:
         """Return lengths of the scene in words: in metres, or in scene units while a metre is not known."""
         scale, unit = (1.0, "scene units") if self.metres_per_unit is None else (self.metres_per_unit, "m")
         return f"{' x '.join(f'{scale * value:.3g}' for value in values)} {unit}"
 
-    def place(self, position: Tensor, extent: Tensor) -> str:
-        """Return a position [3] and an extent [3] in words, both in the unit of ``lengths``."""
-        scaled = position * (self.metres_per_unit or 1.0)
-        at = ", ".join(f"{value:g}" for value in rounded_vector(scaled.tolist()))
-        return f"[{at}], extent {self.lengths(extent.tolist())}"
+    def place(self, position: Iterable[float], extent: Iterable[float]) -> str:
+        """Return a position and an extent in words, both in the unit of ``lengths``."""
+        unit = self.metres_per_unit or 1.0
+        at = ", ".join(f"{value:g}" for value in rounded_vector([unit * value for value in position]))
+        return f"[{at}], extent {self.lengths(extent)}"
 
-    def metres(self, position: Tensor, extent: Tensor) -> dict[str, list[float]]:
-        """Return a position [3] and an extent [3] in metres as JSON values; nothing while a metre is not known."""
-        if self.metres_per_unit is None:
+    def metres(self, position: Iterable[float], extent: Iterable[float]) -> dict[str, list[float]]:
+        """Return a position and an extent in metres as JSON values; nothing while a metre is not known."""
+        if (unit := self.metres_per_unit) is None:
             return {}
         named = {"position_metres": position, "extent_metres": extent}
-        return {
-            name: rounded_vector((value * self.metres_per_unit).tolist()) for name, value in named.items()
-        }
+        return {name: rounded_vector([unit * value for value in values]) for name, values in named.items()}
+
+
+def _unit_vector(name: str, *direction: float) -> Vector:
+    length = math.hypot(*direction)
+    if len(direction) != 3 or not 0 < length < math.inf:
+        raise InputError(f"{name}: expected three numbers that are not all 0, got {[*direction]}")
+    if abs(length - 1) > _ROUNDING:
+        direction = tuple(value / length for value in direction)
+    x, y, z = map(float, direction)
+    return x, y, z
 
 
 def check_metres(length: float, what: str) -> None:
