@@ -22,6 +22,7 @@ from view_samples import (
 )
 
 from messages import refuses
+from scoup.base import WorldFrame
 from scoup.field import relevancy
 from scoup.field.code_sums import code_scores
 from scoup.scene import SH_C0, Camera, Cameras
@@ -117,7 +118,15 @@ def test_packing_gives_the_same_bytes_and_bears_one_point() -> None:
     assert unpacked(data)[1] == {"x": "é"}
 
 
-def test_the_cameras_say_what_is_up_and_where_to_look() -> None:
+def test_the_page_has_metres_and_up_of_the_field() -> None:
+    plain = random_field(10)
+    framed = plain.with_world(WorldFrame(0.5, (0.0, -1.0, 0.0)))
+    found = [unpacked(ViewedField(field).scene())[1] for field in (plain, framed)]
+    assert [each["metres_per_unit"] for each in found] == [None, 0.5]
+    assert found[1]["up"] == [0, -1, 0] != found[0]["up"]
+
+
+def test_the_cameras_say_where_to_look() -> None:
     target = (1.0, 2.0, 0.5)
     cameras = cameras_of([(4, 2, 2), (1, 6, 2), (-2, 2, 1.5), (1, -2, 2)], [target] * 4)
     centre, radius = surroundings(random_gaussians(50, 0), cameras)
