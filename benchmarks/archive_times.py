@@ -25,6 +25,7 @@ from scoup.archive.archive import ABOUT, FORMAT, VERSION
 from scoup.archive.kept_scans import MATRIX, vector_bytes
 from scoup.archive.scan_files import Scan, arrays_of, write_scan
 from scoup.archive.search import words_digest
+from scoup.base import WorldFrame
 from scoup.models import CANONICAL_PHRASES, TextEncoder, WordTable
 from scoup_lab.bench import markdown
 
@@ -91,7 +92,7 @@ def _times(world: World, count: int, folder: Path) -> Record:
             matrix.write(vectors)
             scan = Scan(
                 file=folder / f"{each.name}-{scans:05}.parquet", field=f"{each.name}.scoup",
-                levels=("s", "m", "l"), columns={}, row=total,
+                levels=("s", "m", "l"), columns={}, world=WorldFrame(), row=total,
                 vectors_checksum=zlib.crc32(vectors), words=digest, texts=(),
                 arrays=arrays_of(each.index, None, torch.ones(len(each.table), dtype=torch.bool)),
             )  # fmt: skip

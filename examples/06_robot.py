@@ -1,8 +1,8 @@
 """Locate a thing for a robot: position, size and score in the world, and in the frame of the camera that sees it best.
 
-    python examples/06_robot.py demo/demo.scoup demo/scene/text.npz teapot 0.25
+    python examples/06_robot.py demo/demo.scoup demo/scene/text.npz teapot
 
-The last argument is the length of the scene's unit in metres (`scoup query FIELD door --longest-side 2.0` measures it).
+The field knows the length of its unit in metres from `scoup frame FIELD --thing door --longest-side 2.0`.
 A robot should act only on what is present, with a score high enough for its purpose.
 """
 
@@ -10,17 +10,19 @@ import sys
 
 import scoup
 
-if len(sys.argv) < 5:
+if len(sys.argv) < 4:
     sys.exit(__doc__)
-path, words, thing, metres_per_unit = sys.argv[1:5]
+path, words, thing = sys.argv[1:4]
 field = scoup.LanguageField.load(path, words=words)
 place = field.location(thing)
-print(f"{thing}: {place.describe(float(metres_per_unit))}")
+print(f"{thing}: {place.describe()}")
 
 views = [field.at(camera).show([place.answer])[0] for camera in field.cameras or ()]
 best = max(views, key=lambda view: view.coverage, default=None)
 if place.position is not None and best is not None:
     print(f"visible in {sum(view.visible for view in views)} of {len(views)} views")
     viewmat = field.camera(best.view).viewmat
-    x, y, z = ((viewmat[:3, :3] @ place.position + viewmat[:3, 3]) * float(metres_per_unit)).tolist()
-    print(f"from {best.view}: {x:.3f} m to the right, {y:.3f} m down, {z:.3f} m ahead; pixel {best.point}")
+    in_camera = viewmat[:3, :3] @ place.position + viewmat[:3, 3]
+    x, y, z = (in_camera * (field.world.metres_per_unit or 1.0)).tolist()
+    unit = "m" if field.world.metres_per_unit else "scene units"
+    print(f"from {best.view}: {x:.3f} to the right, {y:.3f} down, {z:.3f} ahead ({unit}); pixel {best.point}")

@@ -1,10 +1,11 @@
 """Things of a field as vision_msgs/Detection3DArray in JSON, in metres and in the frame of a map.
 
-    python examples/12_things_for_robots.py FIELD TABLE METRES_PER_UNIT "mugs"
+    python examples/12_things_for_robots.py FIELD TABLE "mugs"
 
 The axes are those of REP 103: x forward (away from the camera that sees the most), y left, z up; the origin is that of
-the scene. For a map of your own, replace ROTATION and TRANSLATION: map = METRES_PER_UNIT * ROTATION @ scene +
-TRANSLATION. The covariance is that of a point anywhere in the box; zeros for the orientation mean not estimated.
+the scene. Metres, up and the name of the frame are those of `scoup frame FIELD`. For a map of your own, replace
+ROTATION and TRANSLATION: map = UNIT * ROTATION @ scene + TRANSLATION. The covariance is that of a point anywhere in the
+box; zeros for the orientation mean not estimated.
 """
 
 import json
@@ -17,15 +18,18 @@ from scipy.spatial.transform import Rotation
 import scoup
 from scoup.query import Thing
 
-if len(sys.argv) < 5:
+if len(sys.argv) < 4:
     sys.exit(__doc__)
-path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
+path, table, phrase = sys.argv[1:4]
 field = scoup.LanguageField.load(path, words=table)
+UNIT = field.world.metres_per_unit or 0.0
+if not UNIT:
+    sys.exit(f"{path}: has no metre; run scoup frame {path} --thing door --longest-side 2.0")
 right, up, away = field.frame().axes
 ROTATION = torch.stack([away, -right, up])
 TRANSLATION = torch.zeros(3, dtype=torch.float64)
 seconds, nanoseconds = divmod(time.time_ns(), 10**9)
-HEADER = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "map"}
+HEADER = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": field.world.name or "map"}
 
 
 def named(vector: torch.Tensor, names: str = "xyz") -> dict[str, float]:
@@ -34,10 +38,10 @@ def named(vector: torch.Tensor, names: str = "xyz") -> dict[str, float]:
 
 def detection(thing: Thing) -> dict:
     axes = thing.box.axes @ ROTATION.T  # of the box in the map, one per row
-    size = metres_per_unit * thing.box.extent
+    size = UNIT * thing.box.extent
     quaternion = Rotation.from_matrix(axes.T.numpy()).as_quat(canonical=True)
     pose = {
-        "position": named(metres_per_unit * ROTATION @ thing.box.centre + TRANSLATION),
+        "position": named(UNIT * ROTATION @ thing.box.centre + TRANSLATION),
         "orientation": named(torch.from_numpy(quaternion), "xyzw"),
     }
     covariance = torch.zeros(6, 6, dtype=torch.float64)

@@ -97,12 +97,20 @@ def test_own_embeddings(scene, tmp_path):
     assert printed.startswith("red in view_00.png: pixel (")
 
 
-def test_robot(scene, field):
-    printed = example("06_robot.py", field, scene / "words.npz", "kettle", 0.5)
-    loaded = scoup.LanguageField.load(field)
+@pytest.fixture
+def framed(field, tmp_path):
+    """The field with a metre, an up and a name."""
+    world = scoup.WorldFrame(2.0, (0, -1, 0), name="odom")
+    scoup.LanguageField.load(field).with_world(world).save(tmp_path / "framed.scoup")
+    return tmp_path / "framed.scoup"
+
+
+def test_robot(scene, framed):
+    printed = example("06_robot.py", framed, scene / "words.npz", "kettle")
+    loaded = scoup.LanguageField.load(framed)
     place = loaded.location(loaded.with_encoder(scene / "words.npz").question("kettle"))
-    assert printed.startswith(f"kettle: {place.describe(0.5)}")
-    assert "m ahead" in printed
+    assert printed.startswith(f"kettle: {place.describe()}")
+    assert "ahead (m)" in printed
 
 
 def test_every_example_is_run():
@@ -120,13 +128,13 @@ def test_an_example_without_arguments_says_how_it_is_run(path, monkeypatch):
         runpy.run_path(str(path), run_name="__main__")
 
 
-def test_things_for_robots(scene, field):
-    printed = json.loads(example("12_things_for_robots.py", field, scene / "words.npz", 2, "kettle"))
-    loaded = scoup.LanguageField.load(field)
+def test_things_for_robots(scene, framed):
+    printed = json.loads(example("12_things_for_robots.py", framed, scene / "words.npz", "kettle"))
+    loaded = scoup.LanguageField.load(framed)
     thing = loaded.things(loaded.with_encoder(scene / "words.npz").question("kettle", always=True))[0]
     detection = printed["detections"][0]
     assert printed["header"] == detection["header"]
-    assert printed["header"]["frame_id"] == "map"
+    assert printed["header"]["frame_id"] == "odom"
     right, up, away = loaded.frame().axes
     to_map = torch.stack([away, -right, up])  # x forward, y left, z up
     box, pose = detection["bbox"], detection["results"][0]["pose"]

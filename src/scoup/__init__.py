@@ -14,6 +14,7 @@ _HOMES = {
     "RegionMap": "scoup.scene",
     "Regions": "scoup.scene",
     "SparseCodes": "scoup.scene",
+    "WorldFrame": "scoup.base",
     "ScoupError": "scoup.base",
     "ScoupWarning": "scoup.base",
     "load_gaussians": "scoup.io",
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from scoup.base import VERSION as __version__
     from scoup.base import ScoupError as ScoupError
     from scoup.base import ScoupWarning as ScoupWarning
+    from scoup.base import WorldFrame as WorldFrame
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract import choose_cameras as choose_cameras

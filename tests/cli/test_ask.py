@@ -105,7 +105,10 @@ def test_the_record_of_an_answer():
     record = run_json("query", "f.scoup", "kettle", "--out", "answers", "--pictures", "all")
     (answer,), (place,) = record["answers"], record["places"]
     written = json.loads(Path("answers/query.json").read_text())
-    assert written == {"field": "f.scoup", **{key: record[key] for key in ("sheets", "answers", "places")}}
+    assert written == {
+        "field": "f.scoup",
+        **{key: record[key] for key in ("sheets", "answers", "places", "frame")},
+    }
     assert (answer["camera"], answer["text"]) == ("view_00.png", "kettle")
     assert answer["level"] in "sml"
     assert (answer["present"], answer["visible"]) == (True, True)
@@ -121,18 +124,6 @@ def test_the_record_of_an_answer():
     assert 2 * (mask[y0:y1, x0:x1] > 0).sum() > (mask > 0).sum()
     for kind in ("heat", "overlay"):
         assert len(pixels(answer["files"][kind])) > 30  # the strip with the text
-
-
-def test_metres():
-    ask = ("query", "f.scoup", *TEXTS, *NO_PICTURES)
-    record = run_json(*ask, "--longest-side", 0.25)
-    kettle, mug = record["places"]
-    unit = record["metres_per_unit"]
-    assert max(kettle["extent_metres"]) == pytest.approx(0.25, rel=1e-4)
-    assert mug["extent_metres"] == pytest.approx([side * unit for side in mug["box"]["extent"]], rel=1e-4)
-    assert f"--metres-per-unit {unit:.4g}" in run(*ask, "--longest-side", 0.25)[1]
-    place = run_json(*ask, "--metres-per-unit", 0.5)["places"][0]
-    assert place["position_metres"] == pytest.approx([0.5 * part for part in place["position"]], rel=1e-4)
 
 
 def test_cameras_of_another_scene():
@@ -248,16 +239,12 @@ def test_the_graph_is_that_of_the_field():
     assert all(f'src="pictures/{path.name}"' in page for path in (folder / "pictures").iterdir())
 
 
-def test_things_by_words_of_a_list_metres_and_directions():
+def test_things_by_words_of_a_list():
     Path("words.txt").write_text("mug\n", "utf-16")
-    options = ("--words", "words.txt", "--out", "c", "--metres-per-unit", "2", "--up", "0", "0", "1")
-    record = run_json("catalog", "f.scoup", *options)
+    record = run_json("catalog", "f.scoup", "--words", "words.txt", "--out", "c")
     named = [one for one in record["things"] if one["text"]]
     assert {one["text"] for one in named} == {"mug"}
     assert set(record["objects"]) >= {one["thing"] for one in named}
-    one = named[0]
-    assert one["position_metres"] == pytest.approx([2 * part for part in one["position"]], rel=1e-4)
-    assert record["frame"]["up"] == [0, 0, 1]
 
 
 def test_names_out_of_a_list_are_escaped():

@@ -61,7 +61,6 @@ MISTAKES: dict[str, list[str]] = {
         "--text open_clip:ViT", "--text 'no such/model x'", "--text scene/language_features/view_00_f.npy",
         "--text gone.pt", "--text words.csv", "--text scene/README.txt", "--camera view_9", "--scene no",
         "--gaussians no.ply", "--gaussians others.ply", "--gaussians few.ply", "--threshold 1.5",
-        "--metres-per-unit -1", "--longest-side 0", "--longest-side 0.25 --metres-per-unit 1",
         "--out file --overwrite", "--out a.json",
     ],
     "query": [
@@ -73,7 +72,7 @@ MISTAKES: dict[str, list[str]] = {
     SELECT: [
         "--out file/a.ply", "--out a.obj", "--out scene/point_cloud.ply --overwrite", "--out f.scoup --overwrite",
         "--out a.splat --edit state", "--out a.scoup --edit state", "--text no.json",
-        "--gaussians others.ply", "--color red", "--opacity 2", "--picture a.jpg", "--metres-per-unit 0",
+        "--gaussians others.ply", "--color red", "--opacity 2", "--picture a.jpg",
         "--edit remove --within 1000", "--threshold 1", "--threshold nan", "--presence 1.5",
         "--presence 0.5", "--level xl", "--grow -1", "--shrink -1", "--within -1",
     ],
@@ -95,7 +94,13 @@ MISTAKES: dict[str, list[str]] = {
         "mug --words phrase.txt",
     ],
     "label blind.scoup kettle --text scene/words.npz": ["--outputs maps"],
-    "catalog f.scoup": ["--up 0 0 0"],
+    "frame f.scoup": [
+        "--metres-per-unit -1", "--metres-per-unit nan", "--metres-per-unit inf", "--up 0 0 0", "--up nan 0 1",
+        "--origin 91 0 0", "--origin 0 0 inf", "--up y --north 0 1 0.001", "--thing kettle", "--longest-side 1",
+        "--thing kettle --longest-side 0", "--thing kettle --distance 1", "--thing kettle --other kettle --distance 1",
+        "--thing ketle --longest-side 1", "--metres-per-unit 1 --thing kettle --longest-side 1",
+    ],
+    "frame": ["no.scoup", "scene/point_cloud.ply --metres-per-unit 1"],
     "catalog blind.scoup --text scene/words.npz": [""],
     EXTRACT: [
         "--points-per-side 0", "--out r --embedder scene/point_cloud.ply", "--out file", "--part x",

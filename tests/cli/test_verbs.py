@@ -53,19 +53,20 @@ VERBS: dict[str, tuple[list[str], dict[str, Any], str]] = {
     "convert scene a.compressed.ply": (["a.compressed.ply"], {"out": "a.compressed.ply", "gaussians": 150}, "bytes"),
     "query f.scoup kettle 'wooden table'": (
         ["f_queries/query.json", "f_queries/sheet.png"],
-        {"out": "f_queries", "sheets": ["f_queries/sheet.png"]}, "answers places"),
+        {"out": "f_queries", "sheets": ["f_queries/sheet.png"]}, "answers places frame"),
     "query f.scoup kettle mug --camera view_00 --camera view_01 --pictures all --out a": (
         ["a/query.json", "a/sheet.png", *(f"a/{view}/{text}_{kind}.png" for view in VIEWS[:2]
                                           for text in ("kettle", "mug") for kind in ("heat", "mask", "overlay"))],
-        {"out": "a", "sheets": ["a/sheet.png"]}, "answers places"),
+        {"out": "a", "sheets": ["a/sheet.png"]}, "answers places frame"),
     "query f.scoup kettle --pictures none --npz --coco --out a": (
         ["a/coco.json", "a/query.json", "a/view_00/relevancy.npz"],
-        {"out": "a", "sheets": []}, "answers places"),
+        {"out": "a", "sheets": []}, "answers places frame"),
     "select f.scoup kettle --out a.ply": (
-        ["a.ply"], {"out": "a.ply", "gaussians": 150, "expression": "kettle"}, "written chosen selected texts place"),
-    "select f.scoup kettle - mug --edit remove --out a.splat --picture a.png --metres-per-unit 2": (
+        ["a.ply"], {"out": "a.ply", "gaussians": 150, "expression": "kettle"},
+        "written chosen selected texts place frame"),
+    "select f.scoup kettle - mug --edit remove --out a.splat --picture a.png": (
         ["a.splat", "a.png"], {"out": "a.splat", "gaussians": 150, "expression": "kettle and not mug"},
-        "written chosen selected texts place"),
+        "written chosen selected texts place frame"),
     "label f.scoup kettle mug": (
         [f"f_labels/{name}" for name in ("labels.npy", "labels.json", "labels.ply", "colored.ply", "labels.png")],
         {"out": "f_labels", "gaussians": 150}, "files classes none"),

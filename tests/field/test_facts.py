@@ -130,6 +130,12 @@ def test_tensors_of_another_form_are_refused(
     assert f"{tmp_path}/d.scoup: is not a complete language field" in said
 
 
+@pytest.mark.parametrize("frame", [None, [1], {"metres_per_unit": -1}, {"up": [0, 0]}, {"origin": "here"}])
+def test_a_damaged_frame_is_refused(whole: Path, tmp_path: Path, frame: Any) -> None:
+    header, tensors = parts_of(whole)
+    check_message(refusal(tmp_path / "d.scoup", {**header, "frame": frame}, tensors))
+
+
 @pytest.mark.parametrize(("name", "value"), [
     ("code_indices", 4), ("code_weights", -1), ("code_weights", torch.inf), ("codebook", torch.nan),
     ("things.owners", 3), ("things.parents", 3), ("things.levels", 3), ("things.embeddings", torch.nan),

@@ -184,14 +184,13 @@ COMPRESSION = {SPLATS: {"extensions": {f"{SPLATS}_compression_other": {}}}}
 SHEAR = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 NODE, ACCESSOR, VIEW, PRIMITIVE = "nodes 0", "accessors 2", "bufferViews 2", "meshes 0 primitives 0"
 VALID, _ = foreign(columns_of(some_gaussians(3, 1)))
-TURN = {"rotation": [0, 0.6, 0, 0.8]}
 GLTF: dict[str, tuple[str, Root]] = {
     "compressed": (PRIMITIVE, {"extensions": COMPRESSION}), "mesh": (PRIMITIVE, {"extensions": {}}),
     "triangles": (PRIMITIVE, {"mode": 4}), "draft": (f"{PRIMITIVE} attributes", {f"{SPLATS}:SCALE": None}),
     "partial": (f"{PRIMITIVE} attributes", {f"{SPLATS}:SH_DEGREE_1_COEF_1": None}),
     "required": ("", {"extensionsRequired": ["KHR_meshopt"]}), "no node": ("", {"scenes": [{"nodes": []}]}),
-    "rotation": (NODE, TURN), "rotation above": ("", {"nodes": [{**TURN, "children": [1]}, {"mesh": 0}]}),
-    "scale": (NODE, {"scale": [2, 2, 2]}), "mirror": (NODE, {"scale": [-1, 1, 1]}), "shear": (NODE, {"matrix": SHEAR}),
+    "stretch": (NODE, {"scale": [2, 1, 2]}),
+    "mirror": (NODE, {"scale": [-1, 1, 1]}), "shear": (NODE, {"matrix": SHEAR}),
     "instances": ("", {"nodes": [{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [1, 0, 0]}]}),
     "huge": (NODE, {"matrix": [10**400] + [0] * 15}), "quaternion": (NODE, {"rotation": [0, 0, 0]}),
     "perspective": (NODE, {"matrix": [1, 0, 0, 1] + [0] * 12}), "cycle": (NODE, {"children": [0]}),

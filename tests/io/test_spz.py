@@ -7,18 +7,20 @@ import gzip
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import zstandard
+from scipy.spatial.transform import Rotation
 from splat_damages import AXES
 from splat_damages import spz as packed
 
 from io_samples import same_gaussians, some_gaussians, tame
 from messages import refuses, warns
-from scoup.base import FileFormatError, ScoupWarning
-from scoup.io import load_gaussians
+from scoup.base import FileFormatError, ScoupWarning, WorldFrame
+from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats.spz import read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked
 from scoup.scene import Gaussians, rotation_matrices, sh_basis
@@ -164,3 +166,69 @@ def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None
             assert len(load_gaussians(path)) == count
     with pytest.raises(FileFormatError, match="says 300,000 Gaussians, more than"):
         load_gaussians(path)
+
+
+# ---- the place on Earth
+
+PLACE = WorldFrame(0.25, (0.1, -0.9, 0.2), (0.8, 0.1, 0.5), (48.2082, 16.3738, 187.5), "map")
+
+
+def at_place(frame: WorldFrame) -> Any:
+    """Its numbers, near enough."""
+    values = frame.metres_per_unit, *(frame.up or ()), *(frame.north or ()), *(frame.origin or ())
+    return pytest.approx(values, abs=1e-7)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_spz_keeps_the_place_on_earth(tmp_path: Path, version: int) -> None:
+    write_spz(replace(some_gaussians(9, 1), world=PLACE), tmp_path / "a.spz", version=version)
+    found = read_spz(tmp_path / "a.spz").world
+    north = np.array(PLACE.north) - np.dot(PLACE.north or 0, PLACE.up or 0) * np.array(PLACE.up)
+    level = replace(PLACE, north=tuple((north / np.linalg.norm(north)).tolist()))
+    assert at_place(level) == at_place(found).expected
+    assert found.name == ""
+    as_stored = load_gaussians(tmp_path / "a.spz", keep_axes=True).world
+    assert as_stored.up == pytest.approx(
+        [value * sign for value, sign in zip(found.up or (), (1, -1, -1), strict=True)]
+    )
+    save_gaussians(replace(some_gaussians(9, 1), world=WorldFrame(0.5)), tmp_path / "b.spz")
+    assert load_gaussians(tmp_path / "b.spz").world == WorldFrame(), (
+        "a metre alone has no place in the format"
+    )
+
+
+def record(length: int = 9, crs: bytes = b"EPSG:4978", version: int = 1, norm: float = 1.0) -> bytes:
+    """Of Vienna's cathedral, geocentric by EPSG's formulas; right, up, back are east, up, south there."""
+    latitude, longitude = np.radians([48.2082, 16.3738])
+    s, c, t, d = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    radius = 6_378_137 / np.sqrt(1 - 0.00669437999014 * s**2)
+    origin = [
+        (radius + 187.5) * c * d,
+        (radius + 187.5) * c * t,
+        (radius * (1 - 0.00669437999014) + 187.5) * s,
+    ]
+    east, north, up = [-t, d, 0], [-s * d, -s * t, c], [c * d, c * t, s]
+    quaternion = Rotation.from_matrix(np.array([east, up, [-each for each in north]]).T).as_quat() * norm
+    numbers = struct.pack("<9d", *origin, *quaternion, 0.25, np.nan)
+    content = struct.pack("<BBH", version, 0, length) + numbers + crs
+    return struct.pack("<II", 0x4E530001, len(content)) + content
+
+
+def test_spz_of_others_says_where_it_is(tmp_path: Path) -> None:
+    def read(content: bytes) -> WorldFrame:
+        write_spz(some_gaussians(5, 0), tmp_path / "a.spz", True)
+        return read_spz(extended(tmp_path / "a.spz", content)).world
+
+    assert at_place(read(record())).expected == at_place(
+        WorldFrame(0.25, (0, -1, 0), (0, 0, 1), (48.2082, 16.3738, 187.5))
+    )
+    drafts = (
+        record(crs=b"EPSG:4979"),
+        record(version=2),
+        record(norm=1.1),
+        record(length=8),
+        record(crs=b"EPSG:4978" * 2),
+    )
+    for content in drafts:
+        with warns(ScoupWarning):
+            assert read(content) == WorldFrame()

@@ -10,7 +10,7 @@ import torch
 
 from messages import refuses, warns
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
-from scoup.base import ScoupWarning
+from scoup.base import ScoupWarning, WorldFrame
 from scoup.query.comparison import compare
 from scoup.query.language_field import LanguageField
 from scoup.scene import Camera, Cameras
@@ -55,7 +55,7 @@ def test_how_far_a_thing_moved_in_another_frame() -> None:
     old, new = planted_room(), planted_room(boxes, moved=frame)
     (change,) = compare(old, new, WORDS, back).changes
     assert (change.kind, change.distance) == ("moved", pytest.approx(np.hypot(0.9, 0.2), rel=0.01))
-    record = compare(old, new, WORDS, back).to_dict(metres_per_unit=2)["changes"][0]
+    record = compare(old.with_world(WorldFrame(2.0)), new, WORDS, back).to_dict()["changes"][0]
     assert record["distance_metres"] == pytest.approx(2 * record["distance"], rel=1e-4)
     for side, metres in (("old", 2), ("new", 2 / 3)):
         extent = record[side]["box"]["extent"]

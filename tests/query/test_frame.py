@@ -14,9 +14,12 @@ from torch import Tensor
 
 from messages import refuses
 from query.planted_room import FRONT, Box, planted_room
+from scoup.base import WorldFrame
 from scoup.query.paths import MOST_STOPS, camera_path, turntable
 from scoup.scene import Camera, Cameras, estimate_up
 from support import examples
+
+UPRIGHT = WorldFrame(up=(0, 0, 2))
 
 
 def rolled(camera: Camera, degrees: float) -> Camera:
@@ -65,11 +68,12 @@ def test_cameras_that_look_straight_down_look_from_above(turned) -> None:
 
 def test_where_a_camera_looks_along_up_its_image_says_what_is_right_and_away() -> None:
     down = planted_room([Box("ball", (0, 0, 0), (1, 1, 1))], [looking_down("drone.png")])
-    axes = down.frame("drone.png", up=(0, 0, 2)).axes
+    axes = down.with_world(UPRIGHT).frame("drone.png").axes
     torch.testing.assert_close(axes, torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]).double())
     for ahead in (0.0, 0.5):
         camera = Camera.look_at((0, 0, 0), (ahead, 0, 5), "sky.png", 64, 48, 50, up=(-1, 0, 0))
-        frame = planted_room([Box("ball", (0, 0, 4), (1, 1, 1))], [camera]).frame("sky.png", up=(0, 0, 1))
+        ball = planted_room([Box("ball", (0, 0, 4), (1, 1, 1))], [camera])
+        frame = ball.with_world(UPRIGHT).frame("sky.png")
         torch.testing.assert_close(frame.axes[0], camera.viewmat[0, :3])
 
 
@@ -82,7 +86,7 @@ def test_axes_are_orthonormal_and_told() -> None:
     torch.testing.assert_close(frame.axes, expected)
     assert frame.to_dict()["seen_from"] == "aside.png"
     assert frame.describe().startswith("left, right, front and back as seen from aside.png; up is [0, 0, 1]")
-    assert field.frame(up=(0, 0, 1)).up_source == "as given"
+    assert field.with_world(UPRIGHT).frame().up_source == "of the field's frame"
 
 
 def test_the_camera_that_sees_most_is_the_viewer() -> None:
@@ -97,7 +101,7 @@ def test_the_camera_that_sees_most_is_the_viewer() -> None:
 def test_what_is_no_direction_is_refused() -> None:
     for up in ((0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)):
         with refuses():
-            planted_room().frame(up=up)
+            WorldFrame.of_dict({"up": up})
 
 
 SIDES = np.linalg.qr([[0.2, 1.0, 0.3], [-0.9, 0.0, 0.4], [0.4, 0.0, 1.0]])[0].T

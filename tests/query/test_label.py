@@ -144,7 +144,7 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
         assert found.dtype == np.int32
         assert found.tolist() == expected.tolist()
     record = json.loads((tmp_path / "labels.json").read_text())
-    assert record == json.loads(json.dumps(labels.to_dict()))
+    assert record == json.loads(json.dumps(labels.to_dict() | {"frame": queried.field.world.to_dict()}))
     for entry in record["classes"]:
         assert entry["gaussians"] == int((labels.ids == entry["id"]).sum())
         assert entry["level"] in queried.field.levels

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from query.conftest import ASKED
+from scoup.base import WorldFrame
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.place import Place, place_of
@@ -32,7 +33,10 @@ class Placed:
     gaussians: Gaussians
     relevancy: Tensor  # [N] of its only level
     thing_table: None = None
-    cameras: None = None
+    world: WorldFrame = field(default_factory=WorldFrame)
+
+    def up(self) -> Tensor:
+        return UP
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
         return self.relevancy[None, None]

@@ -22,6 +22,7 @@ from view_samples import (
 )
 
 from messages import refuses
+from scoup.base import WorldFrame
 from scoup.field import relevancy
 from scoup.field.code_sums import code_scores
 from scoup.scene import SH_C0, Camera, Cameras
@@ -117,22 +118,29 @@ def test_packing_gives_the_same_bytes_and_bears_one_point() -> None:
     assert unpacked(data)[1] == {"x": "é"}
 
 
-def test_the_cameras_say_what_is_up_and_where_to_look() -> None:
+def test_the_page_has_metres_and_up_of_the_field() -> None:
+    plain = random_field(10)
+    framed = plain.with_world(WorldFrame(0.5, (0.0, -1.0, 0.0)))
+    found = [unpacked(ViewedField(field).scene())[1] for field in (plain, framed)]
+    assert [each["metres_per_unit"] for each in found] == [None, 0.5]
+    assert found[1]["up"] == [0, -1, 0] != found[0]["up"]
+
+
+def test_the_cameras_say_where_to_look() -> None:
     target = (1.0, 2.0, 0.5)
     cameras = cameras_of([(4, 2, 2), (1, 6, 2), (-2, 2, 1.5), (1, -2, 2)], [target] * 4)
-    up, centre, radius = surroundings(random_gaussians(50, 0), cameras)
-    assert up[2] > 0.9
+    centre, radius = surroundings(random_gaussians(50, 0), cameras)
     np.testing.assert_allclose(centre, target, atol=1e-6)
     assert 3 < radius < 5
-    assert np.isfinite(surroundings(random_gaussians(50, 0), Cameras([cameras[0]]))[1]).all()
-    assert np.isfinite(surroundings(random_gaussians(0, 0), None)[2])
+    assert np.isfinite(surroundings(random_gaussians(50, 0), Cameras([cameras[0]]))[0]).all()
+    assert np.isfinite(surroundings(random_gaussians(0, 0), None)[1])
     # Cameras that turn on the spot, and a single Gaussian, have a scale.
     gaussians = random_gaussians(200, 0)
     eyes = [(0.001 * number, 0.0, 0.0) for number in range(4)]
     cameras = cameras_of(eyes, [(1.0, 0.1, 5.0), (-5.0, 0.0, 1.0), (5.0, 0.0, 1.0), (0.0, 1.0, -5.0)])
-    assert surroundings(gaussians, cameras)[2] > 0.05
+    assert surroundings(gaussians, cameras)[1] > 0.05
     single = gaussians.select(slice(0, 1))
-    assert surroundings(single, None)[2] >= float(single.scales.max())
+    assert surroundings(single, None)[1] >= float(single.scales.max())
 
 
 def test_a_field_whose_texts_cannot_be_encoded_is_shown_all_the_same() -> None:

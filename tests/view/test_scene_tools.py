@@ -18,7 +18,7 @@ from messages import check_message, refuses
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
 from scoup.archive import Archive, archive_tool
-from scoup.base import InputError, ScoupError
+from scoup.base import InputError, ScoupError, WorldFrame
 from scoup.field import read_facts
 from scoup.io import load_gaussians
 from scoup.query import LanguageField
@@ -40,7 +40,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tools(folder: Path) -> SceneTools:
-    return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
+    field = LanguageField.load(folder / "f.scoup").with_world(WorldFrame(0.5, name="map"))
+    return SceneTools({"f": field}, folder / "out")
 
 
 @pytest.mark.parametrize("words", [(), ("lamp", "mug", "laptop")])
@@ -88,7 +89,14 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert tools.find("f", "kettle on the mug")["texts"] == wanted
     assert wanted[0]["runner_up"] is not None
     frame = tools.find("f", "kettle")["frame"]
-    assert (frame["up"], frame["units"]) == (field.frame().to_dict()["up"], "scene, of 0.5 metres")
+    assert (frame["up"], frame["metres_per_unit"]) == (field.frame().to_dict()["up"], 0.5)
+    assert scene["frame"] == field.world.to_dict()
+    for each in (
+        *listed["things"],
+        *tools.find("f", "kettle")["things"],
+        tools.describe_thing("f", one.number or 0),
+    ):
+        assert len(each["position_metres"]) == len(each["extent_metres"]) == 3
     assert "splat" in frame["axes"]
     plain, marked = (tools.render_view("f", things=seen) for seen in ([], list(names)[:MOST_MARKED]))
     assert plain.shape[:2] == (field.camera(0).height, field.camera(0).width)

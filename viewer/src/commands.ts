@@ -3,7 +3,7 @@ import type { Settings } from "./answers";
 import type { State } from "./state";
 
 /** For a POSIX shell. */
-function quoted(text: string): string {
+export function quoted(text: string): string {
   return /^[\w./:=@%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
@@ -36,11 +36,10 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
     groups.set(level, [...(groups.get(level) ?? []), query.answer.text]);
   }
   const always = isCertain(state);
-  const metres = state.metresPerUnit === null ? "" : ` --metres-per-unit ${state.metresPerUnit}`;
   const lines: string[] = [];
   for (const [level, texts] of groups) {
     const words = texts.map((text) => quoted(asked(text, settings))).join(" ");
-    let options = table + metres;
+    let options = table;
     if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
     if (always) options += " --always";

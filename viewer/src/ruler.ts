@@ -1,4 +1,5 @@
 // A length between two points that are clicked; a known one says how many metres a unit of the scene has.
+import { quoted } from "./commands";
 import { byId, copy } from "./dom";
 import type { State } from "./state";
 import { lengthOf } from "./things";
@@ -7,8 +8,10 @@ export class Ruler {
   private readonly button = byId("measure");
   private readonly known = byId<HTMLInputElement>("known-length");
   private readonly option = byId("metres-per-unit");
+  private readonly knownBefore: number | null; // of the field
 
-  constructor(private readonly state: State, private readonly say: (sentence: string) => void) {
+  constructor(private readonly state: State, private readonly field: string, private readonly say: (sentence: string) => void) {
+    this.knownBefore = state.metresPerUnit;
     this.button.addEventListener("click", () => this.toggle());
     for (const event of ["input", "change"]) this.known.addEventListener(event, () => this.read(event === "change"));
     this.option.addEventListener("click", () => void copy(this.option.textContent!.replace("Copy ", "")));
@@ -36,7 +39,7 @@ export class Ruler {
     const unit = Number(typed) / lengthOf(measured);
     const isBad = typed !== "" && !(unit > 0 && unit < Infinity);
     this.mark(isBad && isWhole);
-    if (!isBad) this.state.set({ metresPerUnit: typed ? Number(unit.toPrecision(4)) : null });
+    if (!isBad) this.state.set({ metresPerUnit: typed ? Number(unit.toPrecision(4)) : this.knownBefore });
   }
 
   private mark(isBad: boolean): void {
@@ -51,7 +54,7 @@ export class Ruler {
     const isWhole = measured?.length === 2;
     byId("measured").textContent = isWhole ? `Length ${this.state.lengths(lengthOf(measured))}` : `Click the ${measured?.length ? "second" : "first"} point.`;
     byId("scale").hidden = !isWhole;
-    this.option.hidden = metresPerUnit === null;
-    this.option.textContent = `Copy --metres-per-unit ${metresPerUnit}`;
+    this.option.hidden = metresPerUnit === this.knownBefore;
+    this.option.textContent = `Copy scoup frame ${quoted(this.field)} --metres-per-unit ${metresPerUnit}`;
   }
 }

@@ -16,6 +16,8 @@ export interface Metadata {
   levels: string[];
   n_atoms: number;
   up: [number, number, number];
+  /** Null while the field knows no metre. */
+  metres_per_unit: number | null;
   centre: [number, number, number];
   radius: number;
   embedding_model: string;

@@ -31,14 +31,13 @@ export class State {
   clean = false;
   /** Ends of a length that is measured, none to two; null where no click measures. */
   measured: number[][] | null = null;
-  /** Length of the scene's unit; null as long as it is not known. */
-  metresPerUnit: number | null = null;
   onChange: () => void = () => {};
   /** Null where the field has none, and in pages that get no Gaussians. */
   things: Things | null = null;
   readonly levels: number;
 
-  constructor(levels: number) {
+  /** `metresPerUnit` is null as long as the length of the scene's unit is not known. */
+  constructor(levels: number, public metresPerUnit: number | null) {
     this.levels = levels;
   }
 
@@ -76,7 +75,7 @@ export class State {
   /** Lengths of the scene in words. */
   lengths(...values: number[]): string {
     const text = values.map((value) => (value * (this.metresPerUnit ?? 1)).toLocaleString("en", { maximumSignificantDigits: 3 })).join(" × ");
-    return `${text} ${this.metresPerUnit === null ? "units" : "m"}`;
+    return `${text} ${this.metresPerUnit === null ? "scene units" : "m"}`;
   }
 
   /** The level of the things that a click selects. */

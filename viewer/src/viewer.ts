@@ -59,7 +59,7 @@ export class Viewer {
     private readonly server: LiveServer | null,
     private scene: Scene | null,
   ) {
-    this.state = new State(metadata.levels.length);
+    this.state = new State(metadata.levels.length, metadata.metres_per_unit);
     this.eye = new Eye(metadata, this.canvas);
     const onError = (sentence: string) => this.say(sentence);
     this.stage = scene
@@ -70,7 +70,7 @@ export class Viewer {
       : null;
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
-    this.ruler = new Ruler(this.state, onError);
+    this.ruler = new Ruler(this.state, settings.field, onError);
     listCameras(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();

@@ -32,8 +32,9 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
 
         `text` is a name ("fire extinguisher") or a phrase, as for `find`. `where` is a condition in SQL over the
         columns of the scans and things ("floor = 2 and gaussians > 100"). `at_least` keeps scans with so many
-        things that answer. Positions are in the units of each scan. In place of `text`, `image` is a picture of one
-        object: a JPEG or PNG of up to 45 kB in base64. The score is then the cosine with it.
+        things that answer. Positions are in the units of each scan; keys that end in `_metres` are in metres. In
+        place of `text`, `image` is a picture of one object: a JPEG or PNG of up to 45 kB in base64. The score is then
+        the cosine with it.
         """
         if not (image or text.strip()) or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
             raise InputError(

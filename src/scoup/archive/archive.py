@@ -43,6 +43,7 @@ from scoup.base import (
     OutputExistsError,
     ScoupError,
     ScoupWarning,
+    WorldFrame,
     check_arguments,
     check_format_version,
     looked_up,
@@ -97,6 +98,8 @@ class FoundThing:
     """What was said of the scan when it was added."""
     field_path: Path
     """File of the scan's field."""
+    world: WorldFrame
+    """Of its scan, when it was added."""
 
     def field(self) -> LanguageField:
         """Load the field of the scan."""
@@ -104,9 +107,8 @@ class FoundThing:
 
     def describe(self) -> str:
         """Return scan, number, position and extent in words, for people."""
-        position = ", ".join(f"{value:g}" for value in rounded_vector(self.position.tolist()))
-        extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
-        return f"{self.scan}, thing {self.thing}, level {self.level}, at [{position}], extent {extent}"
+        place = self.world.place(self.position.tolist(), self.box.extent.tolist())
+        return f"{self.scan}, thing {self.thing}, level {self.level}, at {place}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values, rounded."""
@@ -119,6 +121,7 @@ class FoundThing:
             "certainty": self.certainty,
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
+            **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
             "gaussians": self.n_gaussians,
             "columns": dict(self.columns),
             "field": str(self.field_path),
@@ -231,6 +234,7 @@ class Archive:
                 field=relative_place(file.resolve(), path) or "",
                 levels=field.levels,
                 columns=columns,
+                world=field.world,
                 row=row,
                 vectors_checksum=zlib.crc32(vectors),
                 words=words_digest(index.words),
@@ -488,6 +492,7 @@ class Archive:
             FoundThing(
                 scan.name, one.thing, one.text, scan.levels[int(scan.arrays["levels"][one.thing])], one.score,
                 one.certainty, position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
+                scan.world,
             )
             for one, (position, box) in zip(answers, places, strict=True)
             for scan in [of_scene[one.scene]]

@@ -31,6 +31,7 @@ from scoup.archive.scan_header import (
 )
 from scoup.base import (
     FileFormatError,
+    WorldFrame,
     WriteError,
     atomic_path,
 )
@@ -57,6 +58,7 @@ class Scan:
     field: str  # its file, relative to the folder of the archive
     levels: tuple[str, ...]
     columns: OwnColumns
+    world: WorldFrame  # of its field
     row: int  # of the vector of its first thing in the matrix
     vectors_checksum: int  # CRC-32
     words: str  # digest of the everyday words that its things were compared with
@@ -117,7 +119,10 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
     texts = (tuple(map(str, header[name])) for name in ("levels", "texts"))
     levels, columns = next(texts), check_columns(header["columns"])
     _check_arrays(arrays, len(levels))
-    scan = Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
+    world = WorldFrame.of_dict(header.get("frame", {}))
+    scan = Scan(
+        file=file, levels=levels, columns=columns, world=world, texts=next(texts), arrays=arrays, **plain
+    )
     if scan.names is not None:
         scan.names.check(len(scan))
     if scan.row < 0:
@@ -226,6 +231,7 @@ def _header(scan: Scan) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
+        **({} if scan.world == WorldFrame() else {"frame": scan.world.to_dict()}),
         "arrays": base64.b64encode(data).decode(),
     }
     return {**header, "checksum": checksum(header)}

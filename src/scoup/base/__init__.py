@@ -51,6 +51,7 @@ from scoup.base.texts import (
 )
 from scoup.base.version import VERSION
 from scoup.base.work import Part, Progress, no_progress, reported, worked_ahead
+from scoup.base.world_frame import WorldFrame, check_metres
 
 __all__ = [
     "MOST_ROWS_IN_MEMORY",
@@ -69,6 +70,7 @@ __all__ = [
     "ScoupWarning",
     "SealedFile",
     "UnknownNameError",
+    "WorldFrame",
     "WriteError",
     "as_json",
     "atomic_file",
@@ -77,6 +79,7 @@ __all__ = [
     "card",
     "check_arguments",
     "check_format_version",
+    "check_metres",
     "check_output",
     "counted",
     "existing_file",

@@ -17,6 +17,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup views point_cloud.ply --out SCENE      (without photographs)
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
+  scoup frame scene.scoup --thing door --longest-side 2.0
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup label scene.scoup "kettle" "wooden table"
@@ -33,6 +34,10 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
 `scoup VERB --help` explains a verb. Exit codes: 0 done, 1 internal error, 2 bad input, 130
 interrupted, 143 terminated."""
 
+_MOVED = {"--metres-per-unit", "--longest-side", "--up"}
+_MOVED_FROM = ("query", "select", "label", "catalog", "compare", "mcp")
+"""Options that scoup frame has in place of these verbs."""
+
 SCOUP = Family(
     DESCRIPTION,
     {
@@ -43,6 +48,7 @@ SCOUP = Family(
         "convert": "scoup.cli.convert:Convert",
         "build": "scoup.cli.build:Build",
         "transfer": "scoup.cli.transfer:Transfer",
+        "frame": "scoup.cli.frame:Frame",
         "query": "scoup.cli.query:Query",
         "select": "scoup.cli.select:Select",
         "label": "scoup.cli.label:Label",
@@ -77,9 +83,13 @@ def run(arguments: list[str]) -> int:
             verb = parse(arguments, SCOUP, "scoup")
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
+        moved = _MOVED.intersection(arguments) if arguments[0] in _MOVED_FROM else ()
+        advice = f"{', '.join(sorted(moved))}: use scoup frame FIELD, once per field" if moved else ""
         if for_machines and code:
-            said = in_one_line(refusal.getvalue()) + "; see scoup --help, or scoup VERB --help"
+            said = f"{in_one_line(refusal.getvalue())}; {advice or 'see scoup --help, or scoup VERB --help'}"
             Console(Common(as_json=True)).fail(said, code)
+        elif code and advice:
+            print(advice, file=sys.stderr)
         return code
     return run_verb(verb.common, verb.run)
 

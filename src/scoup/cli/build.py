@@ -20,6 +20,7 @@ from scoup.cli.build_options import (
     check_field_output,
     passed_options,
     report_field,
+    with_frame_of,
 )
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import CLIP_MODEL, AllCommon, PhotographMasks, arg
@@ -92,7 +93,7 @@ class Build:
         started = time.perf_counter()
         with reserved_output(out, self.common.overwrite) as work:
             sums = self._region_sums(loaded, work / "sums")
-            field = self._build(console, loaded, sums)
+            field = with_frame_of(out, self._build(console, loaded, sums))
             field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
             remedy = "build with --model, or pass --text to each question"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -158,6 +159,19 @@ def report_field(
         record["peak_gpu_bytes"] = peak
     record |= {"bytes": size, "gaussians": len(field), "coded": coded, "views": views}
     console.result({**record, "seconds": round(seconds, 2), "coding": coding})
+
+
+def with_frame_of(out: Path, field: Field) -> Field:
+    """Return a field with the frame of the file that it replaces, if that is of the same Gaussians."""
+    from scoup.base import WorldFrame
+    from scoup.field import read_facts
+
+    if out.is_file() and field.world == WorldFrame():
+        with suppress(InputError):  # a damaged one
+            facts = read_facts(out)
+            if facts["fingerprint"] == field.fingerprint:
+                return field.with_world(WorldFrame.of_dict(facts.get("frame", {})))
+    return field
 
 
 def _peak_gpu_memory(device: str) -> int | None:

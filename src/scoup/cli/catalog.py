@@ -13,7 +13,6 @@ from scoup.cli.query_options import (
     FrameOptions,
     TextOptions,
     WordOptions,
-    check_metres,
     output_folder,
 )
 
@@ -29,8 +28,6 @@ class MakeCatalog:
     """The .scoup file."""
     out: Path | None = None
     """Folder to write. Default: <name of FIELD>_catalog here."""
-    metres_per_unit: float | None = None
-    """Length of the scene's unit in metres: the table is in metres, the scene graph has both."""
     words: WordOptions = WordOptions()
     directions: FrameOptions = FrameOptions()
     opening: Annotated[TextOptions, arg(name="field")] = TextOptions()
@@ -41,16 +38,14 @@ class MakeCatalog:
         from scoup.io import read_words
         from scoup.query import save_catalog
 
-        check_metres(self.metres_per_unit)
         out = output_folder(self.out, self.field, "catalog")
         field = self.opening.open(self.field, self.common.device)
         question = field.naming_question(read_words(self.words.words))
         field.encoder.close()  # models are large
         catalog = field.catalog(question, self.directions.frame(field))
         cameras = list(field.cameras or ())
-        unit, overwrite = self.metres_per_unit, self.common.overwrite
         with console.progress() as progress:
-            files = save_catalog(field, catalog, out, cameras, unit, overwrite, progress)
+            files = save_catalog(field, catalog, out, cameras, self.common.overwrite, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:
             console.say(
@@ -60,4 +55,4 @@ class MakeCatalog:
         relations = counted(len(catalog.relations), "relation")
         objects, things = counted(len(catalog.objects), "object"), counted(len(catalog.things), "thing")
         console.say(f"{out}: {things}{shown}, {objects}, {relations}")
-        console.result({"out": out, "files": files, **catalog.to_dict(unit)})
+        console.result({"out": out, "files": files, **catalog.to_dict()})

@@ -15,7 +15,6 @@ from scoup.cli.query_options import (
     FieldOptions,
     TextOptions,
     WordOptions,
-    check_metres,
     output_folder,
 )
 
@@ -42,8 +41,6 @@ class CompareCaptures:
     """The .scoup file of the second one, with embeddings of the same model."""
     out: Path | None = None
     """Folder to write. Default: <name of NEW>_changes here."""
-    metres_per_unit: float | None = None
-    """Length of the unit of OLD in metres."""
     opening: Annotated[CaptureOptions, arg(name="field")] = CaptureOptions()
     words: WordOptions = WordOptions()
     common: AllCommon = AllCommon()
@@ -54,25 +51,23 @@ class CompareCaptures:
         from scoup.query import compare_captures
 
         opening, device = self.opening, self.common.device
-        check_metres(self.metres_per_unit)
         out = output_folder(self.out, self.new, "changes")
         transform = None if opening.transform is None else read_similarity(opening.transform)
         old = opening.open(self.old, device)
         new = FieldOptions(gaussians=opening.new_gaussians).open(self.new, device, "--new-gaussians")
         new = new.with_encoder(old.encoder)
-        words, unit, overwrite = read_words(self.words.words), self.metres_per_unit, self.common.overwrite
+        words, overwrite = read_words(self.words.words), self.common.overwrite
         with console.progress() as progress:
             comparison, files = compare_captures(
-                old, new, words, transform, out, metres_per_unit=unit, overwrite=overwrite, progress=progress
+                old, new, words, transform, out, overwrite=overwrite, progress=progress
             )
         for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None
-            far = "" if change.distance is None else f" by {change.distance:.3g}"
             text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
-            console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
+            console.say(f"{comparison.describe(change)}, confidence {change.confidence:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in comparison.changes)
         console.say(
             f"{out}: {counted(changed, 'change')} among {comparison.counts[0]} and {comparison.counts[1]} objects"
         )
-        console.result({"out": out, "files": files, **comparison.to_dict(unit)})
+        console.result({"out": out, "files": files, **comparison.to_dict()})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from scoup.base import FileFormatError, InputError, counted
-from scoup.cli.build_options import check_field_output
+from scoup.cli.build_options import check_field_output, with_frame_of
 from scoup.cli.console import Console
 from scoup.cli.options import WritesCommon, arg
 
@@ -149,7 +149,7 @@ class Convert:
                 read=lambda path: console.say(f"{path}: read"),
                 n_atoms=options.n_atoms, k=options.k, **self._encoder(), progress=progress,
             )  # fmt: skip
-        field.save(self.target, self.common.overwrite)
+        with_frame_of(self.target, field).save(self.target, self.common.overwrite)
         self._report(console, field)
 
     def _decoder(self) -> Decoder | None:

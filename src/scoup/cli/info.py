@@ -32,7 +32,7 @@ class Info:
         record = (_other if self.path.is_dir() else _KINDS.get(suffix, _other))(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
-        for line in _lines(record):
+        for line in lines_of(record):
             console.say(line)
         following = "" if console.warnings else _next(self.path, record)
         if following:
@@ -94,13 +94,13 @@ _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
 """Extension -> description of such a file; others are folders, splats, cameras or word tables in JSON."""
 
 
-def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:
+def lines_of(record: dict[str, Any], indent: str = "") -> Iterator[str]:
     """Yield a record for people: one line per entry, nested entries indented."""
     for key, value in record.items():
         name = f"{indent}{key.replace('_', ' ')}:"
         if isinstance(value, dict) and any(isinstance(item, (dict, list, str)) for item in value.values()):
             yield name
-            yield from _lines(value, indent + "  ")
+            yield from lines_of(value, indent + "  ")
         else:
             yield f"{name} {_readable(value)}"
 

@@ -18,7 +18,6 @@ from scoup.cli.options import (
     arg,
     check_number,
 )
-from scoup.cli.query_options import check_metres
 from scoup.cli.stop import end_soon, exit_code
 
 if TYPE_CHECKING:
@@ -46,8 +45,6 @@ class ServeAgents:
     refused."""
     archive: Path | None = None
     """Archive in which things are found too, written by scoup archive."""
-    metres_per_unit: float | None = None
-    """Length of the scenes' unit in metres."""
     http: Annotated[int | None, arg(metavar="PORT")] = None
     """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
     common: DeviceCommon = DeviceCommon()
@@ -67,7 +64,7 @@ class ServeAgents:
             archive = Archive(self.archive, self.text)
             archive.text_encoder()  # as the fields'
             more = [archive_tool(archive)]
-        tools = SceneTools(fields, self.out, self.metres_per_unit, words)
+        tools = SceneTools(fields, self.out, words)
         try:
             stopped = serve(tools, more, self.http, partial(_announce, console, fields), end_soon)
         except KeyboardInterrupt as stop:
@@ -75,7 +72,6 @@ class ServeAgents:
         return 128 + stopped if stopped else 0
 
     def _check_options(self) -> None:
-        check_metres(self.metres_per_unit)
         check_number("--http", self.http, 0, 65535)
         if self.http is not None and self.common.quiet and not self.common.as_json:
             raise InputError("--quiet hides the token, without which no client of --http is served; omit it")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base import InputError, as_json, check_output, counted, reported, staged
+from scoup.base import as_json, check_output, counted, reported, staged
 from scoup.cli.console import Console, command
 from scoup.cli.options import (
     AllCommon,
@@ -20,7 +20,6 @@ from scoup.cli.query_options import (
     FrameOptions,
     LevelOptions,
     TextOptions,
-    check_metres,
     check_texts,
     output_folder,
 )
@@ -73,10 +72,6 @@ class Query:
     """Write relevancies and masks of each view as arrays, VIEW/relevancy.npz."""
     coco: bool = False
     """Write the masks of all views as coco.json: run lengths, boxes and scores."""
-    metres_per_unit: float | None = None
-    """Length of the scene's unit in metres, to give positions and sizes in metres, too."""
-    longest_side: float | None = None
-    """Measures that length: the longest side of the first text's thing, in metres, such as the height of a door."""
     video: Literal["path", "turntable", "none"] = "none"
     """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
     around the thing. Needs scoup[video]."""
@@ -109,14 +104,12 @@ class Query:
             records = self._write_views(field, question, views, files, hidden)
             files.finish(hidden)
             places = field.location(question)
-            metres_per_unit = self._metres_per_unit(places[0])
             result: dict[str, Any] = {
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
-                "places": [{"text": place.answer.text, **place.to_dict(metres_per_unit)} for place in places],
+                "places": [{"text": place.answer.text, **place.to_dict()} for place in places],
+                "frame": field.world.to_dict(),
             }
-            if self.longest_side is not None:
-                result["metres_per_unit"] = metres_per_unit
             if refined is not None:
                 result["refined"] = refined
             if self.video != "none":
@@ -124,15 +117,11 @@ class Query:
                 videos = files.add_videos(field, places, everywhere, hidden, progress)
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, as_json({"field": self.field, **result}))
-        self._report(console, result, places, metres_per_unit)
+        self._report(console, result, places)
 
     def _check_options(self) -> None:
         from scoup.pictures import check_video_writer
 
-        check_metres(self.metres_per_unit)
-        check_metres(self.longest_side, "--longest-side")
-        if self.longest_side is not None and self.metres_per_unit is not None:
-            raise InputError("pass --metres-per-unit, or --longest-side to measure it, not both")
         if self.video != "none":
             check_video_writer()
 
@@ -149,16 +138,6 @@ class Query:
         refined = refine(field, self.texts, self.detector.refine, cameras)
         console.say(refined.describe())
         return refined.field, refined.to_dict()
-
-    def _metres_per_unit(self, place: Place) -> float | None:
-        """Return the length of the scene's unit in metres, as passed or from the longest side of a thing."""
-        if self.longest_side is None:
-            return self.metres_per_unit
-        if place.box is None:
-            raise InputError(
-                f"{place.answer.text}: is not in the scene; name a thing that is for --longest-side"
-            )
-        return self.longest_side / float(place.box.extent.max())
 
     def _out(self) -> Path:
         return output_folder(self.out, self.field, "queries")
@@ -187,27 +166,17 @@ class Query:
         self.view.check_seen(self.field, blind, len({record["camera"] for record in records}))
         return records
 
-    def _report(
-        self,
-        console: Console,
-        result: dict[str, Any],
-        places: list[Place],
-        metres_per_unit: float | None,
-    ) -> None:
+    def _report(self, console: Console, result: dict[str, Any], places: list[Place]) -> None:
         for record in result["answers"]:
             if record["present"]:
                 console.say(_sentence(record))
         for place in places:
             at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(metres_per_unit)}")
+            console.say(f"in the scene  {place.answer.text}: {at}{place.describe()}")
         doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
         if doubtful and self.detector.refine is None:
             asked = command("query", self.field, *doubtful, "--refine", "owlv2")
             console.say(f"a detector may decide what is doubtful: {asked}")
-        if self.longest_side is not None:
-            console.say(
-                f"the scene's unit is {metres_per_unit:.4g} metres: --metres-per-unit {metres_per_unit:.4g}"
-            )
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")

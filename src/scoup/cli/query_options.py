@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,6 @@ from scoup.base import (
     share_of,
 )
 from scoup.cli.options import (
-    Direction,
     Model,
     Names,
     arg,
@@ -164,12 +162,10 @@ class FrameOptions:
 
     seen_from: Annotated[str | None, arg(metavar="CAMERA")] = None
     """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
-    up: Direction = None
-    """The direction that is up. Default: estimated from the cameras, which people hold level."""
 
     def frame(self, field: LanguageField) -> Frame | None:
         """Return the directions of the options; None without any."""
-        return None if self.seen_from is None and self.up is None else field.frame(self.seen_from, self.up)
+        return None if self.seen_from is None else field.frame(self.seen_from)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,9 +217,3 @@ def check_texts(texts: tuple[str, ...]) -> None:
             raise InputError(f"{text}: is a field, expected a text; ask one field at a time")
         if Path(text).suffix and Path(text).is_file():
             raise InputError(f"{text}: is a file, expected a text; type its words")
-
-
-def check_metres(length: float | None, option: str = "--metres-per-unit") -> None:
-    """Refuse a length of nothing."""
-    if length is not None and not 0 < length < math.inf:
-        raise InputError(f"{option} must be above 0, got {length}")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, counted
 from scoup.cli.console import Console
@@ -22,7 +22,6 @@ from scoup.cli.query_options import (
     FrameOptions,
     LevelOptions,
     TextOptions,
-    check_metres,
     check_texts,
 )
 
@@ -41,7 +40,7 @@ class ShapeOptions:
     grow: int = 0
     """Add the neighbours of the selection, this many times."""
     within: float = 0.0
-    """Add Gaussians within this distance of the selection, in scene units."""
+    """Add Gaussians within this distance of the selection, in metres (scene units, while the field has no metre)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +77,6 @@ class Select:
     """Factor of the opacities for --edit fade, 0 to 1."""
     picture: Path | None = None
     """Write a .png of the scene before, the selection, and the scene after."""
-    metres_per_unit: float | None = None
-    """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
     answer: LevelOptions = LevelOptions()
     shape: ShapeOptions = ShapeOptions()
     directions: FrameOptions = FrameOptions()
@@ -96,6 +93,7 @@ class Select:
         reshaping = Reshaping(shape.largest, shape.shrink, shape.grow, shape.within)
         self._check_options()
         field = self.opening.open(self.field, self.common.device)
+        reshaping = replace(reshaping, within=shape.within / (field.world.metres_per_unit or 1.0))
         expression = parse_expression(self.texts, field.encoder.names)
         self._check_out(field)
         question = self.opening.question(
@@ -104,7 +102,7 @@ class Select:
         whole = field.select(question, reshaping)
         self._check_found(whole, int(field.select(question).mask.sum()))
         written = self._write(field, whole)
-        self._report(console, whole, written, field.location(whole))
+        self._report(console, whole, written, field.location(whole), field.world.to_dict())
 
     def _check_options(self) -> None:
         from scoup.base import check_output
@@ -112,7 +110,6 @@ class Select:
         from scoup.query import SceneEdit
 
         check_number("--opacity", self.opacity, 0, 1)
-        check_metres(self.metres_per_unit)
         self._rgb()
         is_field = self.out.suffix.lower() == ".scoup"
         if not is_field:
@@ -174,7 +171,9 @@ class Select:
             save_png(edit.picture(cameras, whole.text), self.picture, self.common.overwrite)
         return edit.save(self.out, self.opening.gaussians, self.common.overwrite)
 
-    def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
+    def _report(
+        self, console: Console, whole: ExpressionAnswer, written: int, place: Place, frame: dict[str, Any]
+    ) -> None:
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}
         for term in whole.parts:
             share = f"{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
@@ -185,7 +184,7 @@ class Select:
         elif selected != counts[whole.text]:
             console.say(f"{whole.text}, reshaped: {selected:,}")
         if place.position is not None:
-            console.say(f"at {place.describe(self.metres_per_unit)}")
+            console.say(f"at {place.describe()}")
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         if self.edit == "remove":
             console.say("nothing was photographed behind it: expect a hole or haze in its place")
@@ -200,6 +199,7 @@ class Select:
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,
-                "place": place.to_dict(self.metres_per_unit),
+                "place": place.to_dict(),
+                "frame": frame,
             }
         )

@@ -68,6 +68,7 @@ def choose_cameras(
 
     _check_numbers(width, height, count)
     rows = find_matter(gaussians)
+    up = gaussians.world.up if up is None else up
     upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
     matter = measure_matter(gaussians, rows, upwards)
     scorer = ViewScorer.of(prepare_gaussians(gaussians), matter)
@@ -205,7 +206,7 @@ class ViewsFolder:
         gaussians = load_gaussians(source.path)
         if keep_axes and source.kind.axis is not None:
             turned = source.kind.turned(gaussians)
-            own = up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
+            own = up or turned.world.up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
             up = source.kind.turned_direction(own)
         cameras = choose_cameras(gaussians, up=up, progress=progress, **sizes)
         return cameras, save_views(gaussians, cameras, self.folder, overwrite, progress)

@@ -24,6 +24,7 @@ _HOMES = {
     "read_facts": "scoup.field.facts",
     "relative_place": "scoup.field.container",
     "relevancy": "scoup.field.cosines",
+    "write_world": "scoup.field.container",
 }
 
 __all__ = [*_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from scoup.field.checks import MOST_THINGS as MOST_THINGS
     from scoup.field.container import place_of as place_of
     from scoup.field.container import relative_place as relative_place
+    from scoup.field.container import write_world as write_world
     from scoup.field.content import LEAST_GAUSSIANS as LEAST_GAUSSIANS
     from scoup.field.cosines import relevancy as relevancy
     from scoup.field.facts import doubt_of as doubt_of

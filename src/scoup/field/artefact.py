@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-import os
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from scoup.base import InputError, SealedFile, WriteError, atomic_path, check_output
+from scoup.base import InputError, WorldFrame, check_output
 from scoup.field.checks import MOST_THINGS
-from scoup.field.container import SCHEMA, VERSION, place_of, read_content, relative_place
+from scoup.field.container import (
+    SCHEMA,
+    VERSION,
+    frame_entry,
+    place_of,
+    read_content,
+    relative_place,
+    write_content,
+)
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
 from scoup.scene import Camera, Cameras, Gaussians
@@ -58,7 +64,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
     names = None if parts.things is None else parts.things.names
     if names is not None:
         tensors |= {f"names.{name}": getattr(names, name) for name in _NAMES}
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    arrays = {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}
     header = {
         "schema": SCHEMA,
         "version": VERSION,
@@ -74,11 +80,9 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
         **({} if names is None else {"names": list(names.texts)}),
+        **frame_entry(parts.info.world),
     }
-    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = SealedFile.metadata(header, {name: tensor.numpy() for name, tensor in tensors.items()})
-    with atomic_path(path, overwrite) as temporary:
-        _write(temporary, tensors, metadata)
+    write_content(path, header, arrays, overwrite)
 
 
 def read_field(path: Path) -> FieldParts:
@@ -97,6 +101,7 @@ def read_field(path: Path) -> FieldParts:
         raster_preset=header["raster_preset"],
         provenance=header["provenance"],
         words=place_of(path, header["words"]),
+        world=WorldFrame.of_dict(header.get("frame", {})),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
@@ -115,26 +120,6 @@ def read_field(path: Path) -> FieldParts:
         _cameras(tensors, header["cameras"]),
         _things(tensors, header.get("names")),
     )
-
-
-def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
-    from safetensors import SafetensorError
-    from safetensors.torch import save_file
-
-    try:
-        temporary.touch()
-        permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
-        save_file(tensors, temporary, metadata)
-        temporary.chmod(permissions)
-    except OSError as error:
-        raise WriteError.of(temporary, error) from error
-    except SafetensorError as error:
-        # Only the text contains the system's own number: "(os error 28)", or "code: 28" in older versions.
-        number = re.search(r"(?:os error|code:) (\d+)", str(error))
-        if number is None:
-            raise
-        code = int(number[1])
-        raise WriteError.of(temporary, OSError(code, os.strerror(code))) from error
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

@@ -1,9 +1,11 @@
-"""The file of a language field: safetensors with a JSON header, both with checksums; read and checked without torch."""
+"""The file of a language field: safetensors with a JSON header, both with checksums; read, checked and written without
+torch."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +14,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from scoup.base import FileFormatError, SealedFile, check_format_version
+from scoup.base import (
+    FileFormatError,
+    SealedFile,
+    WorldFrame,
+    WriteError,
+    atomic_path,
+    check_format_version,
+)
 from scoup.field.content import check_content
 
 SCHEMA = "scoup.language_field"
@@ -47,6 +56,54 @@ def read_content(path: Path) -> FieldContent:
         _check_sums(file, header, arrays)
         check_content(header, arrays)
     return FieldContent(header, arrays)
+
+
+def write_content(
+    path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], overwrite: bool
+) -> None:
+    """Write a ``.scoup`` file, atomically.
+
+    Raises:
+        OutputExistsError: the file is there and ``overwrite`` is false.
+        WriteError: the system refuses.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import save_file
+
+    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
+    metadata = SealedFile.metadata(header, arrays)
+    with atomic_path(path, overwrite) as temporary:
+        try:
+            temporary.touch()
+            permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
+            save_file({**arrays}, temporary, metadata)
+            temporary.chmod(permissions)
+        except OSError as error:
+            raise WriteError.of(temporary, error) from error
+        except SafetensorError as error:
+            # Only the text contains the system's own number: "(os error 28)", or "code: 28" in older versions.
+            number = re.search(r"(?:os error|code:) (\d+)", str(error))
+            if number is None:
+                raise
+            code = int(number[1])
+            raise WriteError.of(temporary, OSError(code, os.strerror(code))) from error
+
+
+def write_world(path: Path, world: WorldFrame) -> None:
+    """Write a frame of the world into the file of a field; all tensors keep their bytes.
+
+    Raises:
+        MissingFileError, FileFormatError, WriteError: the file cannot be read or replaced.
+    """
+    content = read_content(path)
+    left_out = "checksum", "checksums", "frame"
+    header = {name: value for name, value in content.header.items() if name not in left_out}
+    write_content(path, header | frame_entry(world), content.arrays, overwrite=True)
+
+
+def frame_entry(world: WorldFrame) -> dict[str, Any]:
+    """Return the entry of a frame in the header; nothing for one without anything known."""
+    return {} if world == WorldFrame() else {"frame": world.to_dict()}
 
 
 def _check_sums(file: SealedFile, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base import geometry_fingerprint
+from scoup.base import WorldFrame, geometry_fingerprint
 from scoup.field.checks import (
     CODES,
     NAMES,
@@ -64,6 +64,7 @@ def check_content(header: Mapping[str, Any], arrays: Arrays) -> None:
     """Check that a header and tensors are those of a language field; everything that ``LanguageField`` expects."""
     _check_types(header, _HEADER)
     _check_types(header["geometry"], _GEOMETRY)
+    WorldFrame.of_dict(header.get("frame", {}))
     cameras = header["cameras"] or []
     names = header.get("names", [])
     if not isinstance(names, list) or not all(

@@ -46,6 +46,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         **_of_the_largest(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
         "fingerprint": geometry["fingerprint"],
+        **({"frame": header["frame"]} if "frame" in header else {}),
         "provenance": header["provenance"],
     }
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, check_arguments, counted
+from scoup.base import InputError, WorldFrame, check_arguments, counted
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache, state_of
@@ -24,7 +24,7 @@ from scoup.field.field_info import FieldInfo, check_parts
 from scoup.field.renders import Vectors
 from scoup.field.thing_table import NameTable, ThingTable
 from scoup.io import load_gaussians
-from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, rows_of
+from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, estimate_up, rows_of
 
 Value = TypeVar("Value")
 Own = TypeVar("Own", bound="Field")
@@ -106,6 +106,17 @@ class Field:
     def raster_preset(self) -> str:
         """The rasteriser's constants, for building and rendering."""
         return self.info.raster_preset
+
+    @property
+    def world(self) -> WorldFrame:
+        """Its frame in the world: length of the unit, up, place on Earth, name."""
+        return self.info.world
+
+    def up(self) -> Tensor:
+        """Return the unit vector that is up, [3] float64: that of ``world``, else estimated from the cameras."""
+        if self.world.up is not None:
+            return torch.tensor(self.world.up, dtype=torch.float64)
+        return estimate_up(self.cameras or ())
 
     @property
     def n_atoms(self) -> int:
@@ -196,7 +207,8 @@ class Field:
                 "pass the original splat, or build the field again"
             )
         device = self.codebook.device
-        self._gaussians = gaussians if gaussians.device == device else gaussians.to(device)
+        moved = gaussians if gaussians.device == device else gaussians.to(device)
+        self._gaussians = moved if moved.world == self.world else replace(moved, world=self.world)
 
     def camera(self, camera: Camera | str | int) -> Camera:
         """Return a camera by its name (with or without extension) or position among ``cameras``; or itself.
@@ -358,6 +370,13 @@ class Field:
         named = self.changed(self._gaussians, thing_table=replace(table, names=every))
         named.path = self.path
         return named
+
+    def with_world(self: Own, world: WorldFrame) -> Own:
+        """Return the field in another frame of the world; ``save`` keeps it."""
+        check_arguments("with_world", world=(world, WorldFrame))
+        framed = self.changed(self._gaussians, info=replace(self.info, world=world))
+        framed.path = self.path
+        return framed
 
     def moved_to(self: Own, gaussians: Gaussians, record: dict[str, Any] | None = None, **parts: Any) -> Own:
         """Return a field of other Gaussians, with other ``parts`` of its constructor; ``record`` goes into its

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base import InputError
+from scoup.base import InputError, WorldFrame
 from scoup.field.checks import CODES, check_codes, tensor_array
 from scoup.field.thing_table import ThingTable
 
@@ -37,6 +37,8 @@ class FieldInfo:
     """Software version, settings, digests of inputs, coding reports, as plain JSON values."""
     words: Path | None = None
     """The word table that encodes texts; None: ``embedding_model`` does."""
+    world: WorldFrame = field(default_factory=WorldFrame)
+    """Its frame in the world."""
 
 
 def check_parts(

@@ -28,12 +28,17 @@ def read_similarity(path: str | Path) -> NDArray[np.float64]:
         value = [[_number(word) for word in line.replace(",", " ").split()] for line in text.splitlines()]
         value = [row for row in value if row]
     matrix = JsonNode(path, value, REMEDY).numbers(4, 4)
-    with np.errstate(all="ignore"):
-        scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
-        straight = is_orthogonal(matrix[:3, :3] / scale)
-    if not (straight and scale > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
+    if similarity_scale(matrix) is None:
         raise FileFormatError(path, "is not a rotation, scale and translation", REMEDY)
     return matrix
+
+
+def similarity_scale(matrix: NDArray[np.float64]) -> float | None:
+    """Return the scale of a similarity [4, 4]; None for another matrix."""
+    with np.errstate(all="ignore"):
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        straight = is_orthogonal(matrix[:3, :3] / scale)
+    return scale if straight and scale > 0 and np.array_equal(matrix[3], [0, 0, 0, 1]) else None
 
 
 def _number(word: str) -> float | str:

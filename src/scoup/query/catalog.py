@@ -45,10 +45,10 @@ class Catalog:
     def _repr_html_(self) -> str:
         return card(f"{len(self.things)} things", {str(thing.number): thing.text for thing in self.things})
 
-    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the scene graph as plain JSON values (docs/formats.md, "Scene graph")."""
         things = [
-            {**thing.to_dict(metres_per_unit), "names": list(names)}
+            {**thing.to_dict(), "names": list(names)}
             for thing, names in zip(self.things, self.names, strict=True)
         ]
         relations = [{"thing": one, "relation": what, "to": other} for one, what, other in self.relations]
@@ -86,16 +86,13 @@ def related_objects(
     return objects, [*related_pairs(field, objects, scene_frame(field))]
 
 
-def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:
+def catalog_rows(catalog: Catalog) -> list[list[Any]]:
     """Return the things as rows of a table, the first with the names of the columns."""
-    unit = 1.0 if metres_per_unit is None else metres_per_unit
     head = ["thing", "name", "other names", "level", "parent", "score"]
     rows: list[list[Any]] = [[*head, "x", "y", "z", "length", "width", "height", "gaussians", "regions"]]
     for thing, names in zip(catalog.things, catalog.names, strict=True):
-        numbers: Sequence[float] = [
-            *(thing.position * unit).tolist(),
-            *(thing.box.extent * unit).tolist(),
-        ]
+        unit = thing.world.metres_per_unit or 1.0
+        numbers = [*(thing.position * unit).tolist(), *(thing.box.extent * unit).tolist()]
         parent = "" if thing.parent is None else thing.parent
         score = "" if thing.score is None else round(thing.score, 4)
         facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, score]

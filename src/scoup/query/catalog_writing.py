@@ -33,7 +33,6 @@ def save_catalog(
     catalog: Catalog,
     folder: Path,
     cameras: Sequence[Camera] = (),
-    metres_per_unit: float | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> list[str]:
@@ -44,16 +43,15 @@ def save_catalog(
         catalog: from ``field.catalog``.
         folder: made if it is missing.
         cameras: each thing is drawn in the one that sees it largest, if any sees it.
-        metres_per_unit: length of the scene's unit; the table is in metres then, and the graph has metres, too.
         overwrite: replace existing files.
         progress: called for the stage "pictures".
     """
     pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
     files = [GRAPH, TABLE, PAGE, *pictures]
     with staged(folder, files, overwrite) as hidden:
-        graph = json.dumps(catalog.to_dict(metres_per_unit), indent=1, allow_nan=False)
+        graph = json.dumps(catalog.to_dict(), indent=1, allow_nan=False)
         write_text(hidden / GRAPH, graph + "\n")
-        rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog, metres_per_unit)]
+        rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog)]
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows(rows)
         write_text(hidden / TABLE, text.getvalue())
@@ -68,7 +66,7 @@ def save_catalog(
         if cameras:
             progress("pictures", len(catalog.things), len(catalog.things))
         title = field.path.name if field.path else "scene"
-        write_text(hidden / PAGE, _page(catalog, drawn, title, metres_per_unit))
+        write_text(hidden / PAGE, _page(catalog, drawn, title))
     return files
 
 
@@ -187,15 +185,7 @@ class Card(NamedTuple):
     pictures: Mapping[str, str]
 
 
-def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
-    """Return lengths for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
-    metres = [side * (metres_per_unit or 1.0) for side in sides]
-    scale, unit = (100, "cm") if metres_per_unit is not None and max(metres) < 1 else (1, "m")
-    text = " x ".join(f"{float(f'{side * scale:.2g}'):g}" for side in metres)
-    return f"{text} units" if metres_per_unit is None else f"about {text} {unit}"
-
-
-def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
+def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
     text_of: dict[int | None, str] = {thing.number: thing.text for thing in catalog.things}
     parts: dict[int | None, set[str]] = {}
     for thing in catalog.things:
@@ -210,7 +200,7 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
         if (whole := text_of.get(thing.parent, "")) not in ("", thing.text):
             related.append(f"in {whole}")
         alternatives = [f"or {', '.join(names[1:])}"] if names[1:] else []
-        size = in_words(thing.box.extent.tolist(), metres_per_unit)
+        size = thing.world.lengths(thing.box.extent.tolist())
         facts = [thing.certainty or "", *alternatives, size, ", ".join(related)]
         pictures = {"": _picture_name(thing)} if thing.number in drawn else {}
         cards[thing.number not in objects].append(Card(thing, thing.score or 0, facts, pictures))

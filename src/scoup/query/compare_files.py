@@ -20,7 +20,6 @@ from scoup.query.catalog_writing import (
     cards_page,
     crop_window,
     cropped,
-    in_words,
     viewing_cameras,
 )
 from scoup.query.comparison import KINDS, Array, Change, Comparison, compare, scale_of
@@ -50,15 +49,13 @@ def save_comparison(
     new: Field,
     comparison: Comparison,
     folder: Path,
-    metres_per_unit: float | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> list[str]:
-    """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures.
-    ``metres_per_unit`` is the length of the old capture's unit."""
+    """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures."""
     files = [RECORD, PAGE]
     with staged(folder, files, overwrite) as hidden:
-        record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)
+        record = json.dumps(comparison.to_dict(), indent=1, allow_nan=False)
         write_text(hidden / RECORD, record + "\n")
         (hidden / PICTURES).mkdir()
         cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
@@ -68,7 +65,7 @@ def save_comparison(
             for side, picture in _pictures(old, new, change, comparison):
                 names[side] = f"{PICTURES}/{number:04d}_{side}.jpg"
                 Image.fromarray(picture).save(hidden / names[side], quality=85)
-            cards[change.kind].append(_card(change, names, comparison.lengths(metres_per_unit)))
+            cards[change.kind].append(_card(change, names, comparison))
         progress("pictures", len(comparison.changes), len(comparison.changes))
         heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
         count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
@@ -78,18 +75,14 @@ def save_comparison(
     return files
 
 
-def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> Card:
-    there = [
-        (side, thing, unit)
-        for side, thing, unit in zip(SIDES, (change.old, change.new), lengths, strict=True)
-        if thing is not None
-    ]
-    _, thing, unit = there[-1]
-    far = "" if change.distance is None else f" by {in_words([change.distance], lengths[0])}"
+def _card(change: Change, pictures: Mapping[str, str], comparison: Comparison) -> Card:
+    sides = zip(SIDES, (change.old, change.new), strict=True)
+    there = [(side, thing) for side, thing in sides if thing is not None]
+    _, thing = there[-1]
     facts = (
-        f"{change.kind}{far}, confidence {change.confidence:.2f}",
-        in_words(thing.box.extent.tolist(), unit),
-        ", ".join(f"thing {thing.number} of the {side} capture" for side, thing, _ in there),
+        f"{comparison.describe(change)}, confidence {change.confidence:.2f}",
+        thing.world.lengths(thing.box.extent.tolist()),
+        ", ".join(f"thing {thing.number} of the {side} capture" for side, thing in there),
     )
     return Card(thing, change.confidence, facts, dict(sorted(pictures.items(), reverse=True)))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base import InputError, ScoupWarning, rounded_vector
+from scoup.base import InputError, ScoupWarning, WorldFrame, rounded_vector
 from scoup.field import NO_THING, Field
 from scoup.query import constants
 from scoup.query.boxes import PointSets
@@ -66,33 +66,29 @@ class Comparison:
     """Objects of the old and of the new capture."""
     transform: Array
     """[4, 4] from the frame of the new capture to that of the old one."""
+    world: WorldFrame
+    """That of the old capture."""
 
     def of_kind(self, kind: Kind) -> list[Change]:
         """Return the changes of a kind."""
         return [change for change in self.changes if change.kind == kind]
 
-    def lengths(self, metres_per_unit: float | None) -> tuple[float | None, float | None]:
-        """Return the metres per unit of both captures from those of the old one."""
-        return metres_per_unit, metres_per_unit and metres_per_unit * scale_of(self.transform)
+    def describe(self, change: Change) -> str:
+        """Return the kind of a change in words, and how far the object moved."""
+        far = "" if change.distance is None else f" by {self.world.lengths([change.distance])}"
+        return change.kind + far
 
-    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
-        """Return the comparison as plain JSON values, rounded.
-
-        Args:
-            metres_per_unit: length of the old capture's unit; with it, lengths are given in metres, too.
-        """
+    def to_dict(self) -> dict[str, Any]:
+        """Return the comparison as plain JSON values, rounded; in metres, too, if the old capture knows its unit."""
         changes = []
         for change in self.changes:
             record: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
             if change.distance is not None:
                 (record["distance"],) = rounded_vector([change.distance], 6)
-                if metres_per_unit is not None:
-                    record["distance_metres"] = round(change.distance * metres_per_unit, 6)
-            for side, thing, unit in zip(
-                ("old", "new"), (change.old, change.new), self.lengths(metres_per_unit), strict=True
-            ):
-                record[side] = thing and thing.to_dict(unit)
-            changes.append(record)
+                if (unit := self.world.metres_per_unit) is not None:
+                    record["distance_metres"] = round(change.distance * unit, 6)
+            sides = {"old": change.old, "new": change.new}
+            changes.append(record | {side: thing and thing.to_dict() for side, thing in sides.items()})
         return {
             "format": SCHEMA,
             "version": 1,
@@ -179,6 +175,8 @@ def compare(
     """
     _check(old, new)
     matrix = np.eye(4) if transform is None else transform
+    if new.world.metres_per_unit is None and (unit := old.world.metres_per_unit) is not None:
+        new = new.with_world(replace(new.world, metres_per_unit=unit * scale_of(matrix)))
     named = [named_things(field, field.naming_question(words)) for field in (old, new)]
     both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
@@ -195,7 +193,7 @@ def compare(
             ScoupWarning,
             stacklevel=2,
         )
-    return Comparison(tuple(changes), counts, matrix)
+    return Comparison(tuple(changes), counts, matrix, old.world)
 
 
 def _name(field: Field) -> str:

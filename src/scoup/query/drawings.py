@@ -146,7 +146,7 @@ def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion,
         raise InputError(
             f"{place.answer.text}: is not in this scene, so there is nothing to turn around; use a path"
         )
-    up = estimate_up(cameras)
+    up = estimate_up(cameras) if field.world.up is None else field.up()
     first = best_camera(field, place.answer.mask, list(cameras))
     size = float(place.box.extent.norm())
     arm = first.position - place.position

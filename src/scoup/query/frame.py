@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base import brief, rounded_vector
+from scoup.base import WorldFrame, brief, rounded_vector
 from scoup.field import Field
-from scoup.scene import Camera, checked_direction, estimate_up
+from scoup.scene import Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,8 @@ class Frame:
     """Name of the camera that left, right, front and back are meant from; "" where no camera is known."""
     up_source: str
     """Where up comes from, in words."""
+    world: WorldFrame
+    """The frame of the field in the world."""
 
     __repr__ = brief
 
@@ -42,6 +44,7 @@ class Frame:
         """Return the frame as plain JSON values, rounded."""
         right, up, away = (rounded_vector(axis) for axis in self.axes.tolist())
         return {
+            **self.world.to_dict(),
             "seen_from": self.seen_from,
             "right": right,
             "up": up,
@@ -50,26 +53,22 @@ class Frame:
         }
 
 
-def scene_frame(
-    field: Field, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
-) -> Frame:
+def scene_frame(field: Field, camera: Camera | str | int | None = None) -> Frame:
     """Return the directions that relations mean; ``LanguageField.frame`` documents it.
 
     Args:
         field: that is asked.
         camera: from which left, right, front and back are meant; by default the field's camera that sees the most.
-        up: world direction; by default estimated from the field's cameras.
     """
-    if camera is None and up is None:
-        return field.kept((Frame, field.cameras), lambda: _made_frame(field, None, None))
-    return _made_frame(field, camera, up)
+    if camera is None:
+        return field.kept((Frame, field.cameras), lambda: _made_frame(field, None))
+    return _made_frame(field, camera)
 
 
-def _made_frame(field: Field, camera: Camera | str | int | None, up: Sequence[float] | None) -> Frame:
-    cameras = list(field.cameras or ())
-    direction = estimate_up(cameras) if up is None else checked_direction(up)
-    if up is not None:
-        source = "as given"
+def _made_frame(field: Field, camera: Camera | str | int | None) -> Frame:
+    cameras, direction = list(field.cameras or ()), field.up()
+    if field.world.up is not None:
+        source = "of the field's frame"
     elif cameras:
         source = f"estimated from {len(cameras)} cameras"
     else:
@@ -85,7 +84,7 @@ def _made_frame(field: Field, camera: Camera | str | int | None, up: Sequence[fl
     away = away - (away @ direction) * direction
     away = away / away.norm()
     right = torch.linalg.cross(away, direction)
-    return Frame(torch.stack([right, direction, away]), viewer.name if viewer else "", source)
+    return Frame(torch.stack([right, direction, away]), viewer.name if viewer else "", source, field.world)
 
 
 def _widest(field: Field, cameras: Sequence[Camera]) -> Camera | None:

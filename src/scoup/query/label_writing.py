@@ -32,7 +32,7 @@ from scoup.query.edits import SplatTable, edited
 from scoup.query.field_view import FieldView
 from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, label_map, label_sheet
 from scoup.query.votes import true_rows
-from scoup.scene import SH_C0, Camera, Gaussians, estimate_up
+from scoup.scene import SH_C0, Camera, Gaussians
 
 LabelOutput = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "masks", "sheet"]
 SIDECAR = ("labels.npy", "labels.json")
@@ -95,7 +95,8 @@ class LabelFiles:
         if "sidecar" in outputs:
             with atomic_file(folder / SIDECAR[0]) as stream:
                 np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
-            write_text(folder / SIDECAR[1], as_json(labels.to_dict()) + "\n")
+            record = labels.to_dict() | {"frame": field.world.to_dict()}
+            write_text(folder / SIDECAR[1], as_json(record) + "\n")
         if "ids" in outputs:
             rows = SplatTable.of(field, geometry)
             for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
@@ -152,9 +153,7 @@ def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:
     points = PointSets.of(field.gaussians, [true_rows(mask) for mask in members])
     return [
         UsdThing(labels.names[word], beyond + word if thing < 0 else thing, mask, **vars(box))
-        for (word, thing), mask, box in zip(
-            groups.tolist(), members, points.boxes(estimate_up(field.cameras or ())), strict=True
-        )
+        for (word, thing), mask, box in zip(groups.tolist(), members, points.boxes(field.up()), strict=True)
         if box is not None
     ]
 

@@ -309,19 +309,18 @@ class LanguageField(Field):
         """
         return copy.deepcopy(make_catalog(self, self.question(literal(question)), frame))
 
-    def frame(self, camera: Camera | str | int | None = None, up: Sequence[float] | None = None) -> Frame:
+    def frame(self, camera: Camera | str | int | None = None) -> Frame:
         """Return the directions left, front and up of phrases such as "mug left of the laptop".
 
         Args:
             camera: from which left, right, front and back are meant, or its name or position among ``cameras``; by
                 default the camera that sees the most Gaussians.
-            up: world direction; by default estimated from the cameras, which people hold level.
 
         Example:
             >>> field.frame("view_00.png").seen_from
             'view_00.png'
         """
-        return scene_frame(self, camera, up)
+        return scene_frame(self, camera)
 
     def select(
         self, question: Question | str | Several, reshaping: Reshaping | None = None

@@ -7,11 +7,11 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base import card, rounded_vector
+from scoup.base import card
 from scoup.field import Field
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox
-from scoup.query.things import Thing, metres_record, things_of_answer
+from scoup.query.things import Thing, things_of_answer
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,20 +52,18 @@ class Place:
         facts = {name: value for name, value in self.to_dict().items() if name != "box"}
         return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
-    def describe(self, metres_per_unit: float | None = None) -> str:
-        """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
+    def describe(self) -> str:
+        """Return position, extent and score in a few words."""
         if self.thing is None:
             return self.answer.remark()
-        return f"{self.thing.describe(metres_per_unit)}{self.answer.numbered()}, {self.answer.remark()}"
+        return f"{self.thing.describe()}{self.answer.numbered()}, {self.answer.remark()}"
 
-    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
-        """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
-        return {
-            **metres_record(self.position, self.box, metres_per_unit),
-            "position": None if self.position is None else rounded_vector(self.position.tolist()),
-            "box": None if self.box is None else self.box.to_dict(),
-            **self.answer.to_dict(),
-        }
+    def to_dict(self) -> dict[str, Any]:
+        """Return the place as plain JSON values, rounded; in metres, too, as of ``Thing``."""
+        kept = "position_metres", "extent_metres", "position", "box"
+        thing = {} if self.thing is None else self.thing.to_dict()
+        place = {name: thing[name] for name in kept if name in thing} or {"position": None, "box": None}
+        return {**place, **self.answer.to_dict()}
 
 
 def place_of(field: Field, answer: Answer) -> Place:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import card, rounded_vector
+from scoup.base import WorldFrame, card, rounded_vector
 from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
@@ -23,7 +23,7 @@ from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
-from scoup.scene import estimate_up, linked_parts, nearest_points
+from scoup.scene import linked_parts, nearest_points
 
 NEIGHBOURS = 8
 """Each point is linked to so many of its nearest others."""
@@ -63,6 +63,8 @@ class Thing:
     """[M] int64, the Gaussians of it."""
     n_regions: int | None
     """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
+    world: WorldFrame = field(default_factory=WorldFrame)
+    """That of its field."""
 
     @classmethod
     def of_table(cls, field: Field, numbers: Sequence[int]) -> list[Thing]:
@@ -116,21 +118,12 @@ class Thing:
     def _repr_html_(self) -> str:
         return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
 
-    def describe(self, metres_per_unit: float | None = None) -> str:
-        """Return position and extent in words, for people; in metres, too, if the length of the unit is known."""
-        position = ", ".join(f"{value:g}" for value in rounded_vector(self.position.tolist()))
-        extent, metres = (
-            " x ".join(f"{side:.3g}" for side in (self.box.extent * unit).tolist())
-            for unit in (1.0, metres_per_unit or 1.0)
-        )
-        return f"[{position}], extent {extent}{f' ({metres} m)' if metres_per_unit is not None else ''}"
+    def describe(self) -> str:
+        """Return position and extent in words, for people."""
+        return self.world.place(self.position.tolist(), self.box.extent.tolist())
 
-    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
-        """Return the thing as plain JSON values, rounded.
-
-        Args:
-            metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
-        """
+    def to_dict(self) -> dict[str, Any]:
+        """Return the thing as plain JSON values, rounded; in metres, too, if its field knows the length of its unit."""
         return {
             "thing": self.number,
             "text": self.text,
@@ -139,7 +132,7 @@ class Thing:
             "score": None if self.score is None else round(self.score, 4),
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
-            **metres_record(self.position, self.box, metres_per_unit),
+            **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
             "gaussians": self.n_gaussians,
             "regions": self.n_regions,
         }
@@ -207,9 +200,12 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
 def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | None]:
     """Return the parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
     points = PointSets.of(field.gaussians, members)
-    shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
+    shapes = zip(points.medians(), points.boxes(field.up()), members, strict=True)
     return [
-        box and Thing(None, level, None, "", None, torch.from_numpy(position.copy()), box, rows, None)
+        box
+        and Thing(
+            None, level, None, "", None, torch.from_numpy(position.copy()), box, rows, None, field.world
+        )
         for position, box, rows in shapes
     ]
 
@@ -254,18 +250,6 @@ def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
     cell_of = cells.numpy()
     middles = np.stack([np.bincount(cell_of, axis) for axis in points.T], 1) / np.bincount(cell_of)[:, None]
     return connected_parts(middles)[cell_of]
-
-
-def metres_record(
-    position: Tensor | None, box: OrientedBox | None, metres_per_unit: float | None
-) -> dict[str, Any]:
-    """Return a place in metres as plain JSON values; nothing if it, or the length of the scene's unit, is not known."""
-    if position is None or box is None or metres_per_unit is None:
-        return {}
-    return {
-        "position_metres": rounded_vector((position * metres_per_unit).tolist()),
-        "extent_metres": rounded_vector((box.extent * metres_per_unit).tolist()),
-    }
 
 
 def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:

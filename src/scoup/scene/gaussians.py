@@ -9,7 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base import InputError, geometry_fingerprint
+from scoup.base import InputError, WorldFrame, geometry_fingerprint
 
 MAX_SH_DEGREE = 4
 TENSORS = ("means", "quats", "scales", "opacities", "sh")
@@ -48,6 +48,8 @@ class Gaussians:
     """Trained to be rasterised with compensated opacities (Mip-Splatting; ``rasterize_mode`` of gsplat)."""
     source_rows: Tensor | None = field(default=None, kw_only=True)
     """[R] bool: the rows of the file that these are, where a reader dropped some; None for all."""
+    world: WorldFrame = field(default_factory=WorldFrame, kw_only=True)
+    """Of the file, if its format has one, or of the field."""
 
     def __post_init__(self) -> None:
         for name, value in self.tensors().items():

@@ -103,6 +103,7 @@ def build(
             sums.raster_preset,
             record,
             sources.table,
+            gaussians.world,
         )
         table = None if things is None else things.table
         return pack(voted, codes.codebook, table, info, gaussians, views, sources.geometry_path)

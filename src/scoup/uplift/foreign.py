@@ -204,7 +204,8 @@ def _info(
     provenance = {"version": VERSION, "converted_from": source, **record}
     model, table = encoder
     words = None if table is None else Path(table)
-    return FieldInfo(levels, model, gaussians.fingerprint(), len(gaussians), preset, provenance, words)
+    fingerprint, world = gaussians.fingerprint(), gaussians.world
+    return FieldInfo(levels, model, fingerprint, len(gaussians), preset, provenance, words, world)
 
 
 def _unit(rows: Tensor | np.ndarray) -> Tensor:

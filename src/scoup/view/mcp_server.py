@@ -28,7 +28,7 @@ from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (
     "3D scenes whose objects can be found by text. Begin with list_scenes. Things have numbers that stay the same; "
-    "positions are in the scene's own units unless metres are given."
+    "positions are in scene units; keys that end in _metres are in metres, where the scene knows them."
 )
 
 

@@ -32,7 +32,7 @@ from torch import Tensor
 from scoup.field import NO_THING, Field
 from scoup.pictures import code_basis
 from scoup.query import placed_atoms
-from scoup.scene import SH_C0, Camera, Cameras, Gaussians, SparseCodes, estimate_up, signed
+from scoup.scene import SH_C0, Camera, Cameras, Gaussians, SparseCodes, signed
 from scoup.view.decimation import PageGaussians
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
 from scoup.view.unit_codes import UnitCodes
@@ -57,7 +57,8 @@ def scene_metadata(
         words_problem: why no text can be asked; None if texts can.
         present_from: the score from which a text counts as present; None: presence is not judged.
     """
-    up, centre, radius = surroundings(field.gaussians, field.cameras)
+    up = field.up()
+    centre, radius = surroundings(field.gaussians, field.cameras)
     model = field.embedding_model
     return {
         "version": VERSION,
@@ -65,7 +66,8 @@ def scene_metadata(
         "n_gaussians": len(field),
         "levels": list(field.levels),
         "n_atoms": field.n_atoms,
-        "up": up,
+        "up": up.tolist(),
+        "metres_per_unit": field.world.metres_per_unit,
         "centre": centre,
         "radius": radius,
         # The name only: the folders of this machine mean nothing elsewhere.
@@ -124,8 +126,8 @@ def _rows(
     return tensors, {**ranges, "weights_scale": largest}
 
 
-def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
-    """Return the direction that is up, the point that the cameras look at, and how far they are from it.
+def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], float]:
+    """Return the point that the cameras look at, and how far they are from it.
 
     The point is the one nearest to all view axes. Without cameras, or if their axes are parallel, it is the median of
     the means, and the distance twice the median distance from it.
@@ -137,9 +139,8 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     around = float((finite - middle.float()).norm(dim=1).median()) if len(finite) else 1.0
     # Cameras that turn on the spot are hardly apart, and a single Gaussian has no extent.
     least = max(0.1 * around, float(scales.amax(1).median()) if len(finite) else 0.0) or 1e-6
-    up = estimate_up(cameras or ())
     if cameras is None or not len(cameras):
-        return up.tolist(), middle.tolist(), max(2 * around, least)
+        return middle.tolist(), max(2 * around, least)
     places = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.viewmat[2, :3] for camera in cameras])
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]
@@ -148,7 +149,7 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     if float(torch.linalg.eigvalsh(matrix)[0]) > 1e-3 * len(places):
         centre = torch.linalg.solve(matrix, right)
     radius = float((places - centre).norm(dim=1).median())
-    return up.tolist(), centre.tolist(), max(radius, least)
+    return centre.tolist(), max(radius, least)
 
 
 def _camera_record(camera: Camera) -> dict[str, Any]:

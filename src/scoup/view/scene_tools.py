@@ -44,13 +44,11 @@ class SceneTools:
     """By the names under which they are served."""
     export_folder: Path | None = None
     """Where selections are written; None: nowhere."""
-    metres_per_unit: float | None = None
-    """Length of the scenes' unit; positions and distances are given in metres, too."""
     words: tuple[str, ...] = ()
     """That may be names of things; none: those that a page has."""
 
     def list_scenes(self) -> list[dict[str, Any]]:
-        """List the scenes with their size, number of things, levels and cameras."""
+        """List the scenes with their size, number of things, levels, cameras and frame in the world."""
         return [
             {
                 "scene": name,
@@ -58,6 +56,7 @@ class SceneTools:
                 "things": len(field.things()),
                 "levels": list(field.levels),
                 "cameras": len(field.cameras or ()),
+                "frame": field.world.to_dict(),
             }
             for name, field in self.fields.items()
         ]
@@ -82,10 +81,10 @@ class SceneTools:
         """
         if level is not None:
             self._field(scene).level_index(level)
-        metres = "" if self.metres_per_unit is None else "_metres"
+        metres = "" if self._field(scene).world.metres_per_unit is None else "_metres"
 
         def brief(thing: Thing) -> dict[str, Any]:
-            record = thing.to_dict(self.metres_per_unit)
+            record = thing.to_dict()
             return {
                 **_name(thing),
                 "level": thing.level,
@@ -127,23 +126,22 @@ class SceneTools:
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
         and the runner-up, the best thing elsewhere. `things` is empty where a text is not here, or where no thing has
         the relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
-        viewer in the same axes, and the unit of length.
+        viewer in the same axes, and `metres_per_unit`; null: lengths are in scene units, and no key ends in `_metres`.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
         question = field.question(_bounded(text), frame=frame)
         things, answer = field.things(question), field.select(question)
-        units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
         return {
-            **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
+            **_reply(things, limit, lambda thing: thing.to_dict()),
             "remark": answer.remark(),
             "texts": [
                 {"text": single.text, **{key: single.to_dict()[key] for key in _OF_TEXTS}}
                 for single in answer.parts
             ],
             "directions": frame.describe(),
-            "frame": {"axes": axes, "units": units, **frame.to_dict()},
+            "frame": {"axes": axes, **frame.to_dict()},
         }
 
     def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
@@ -151,7 +149,7 @@ class SceneTools:
         every = self._named(scene)
         one = _numbered_thing(every, thing)
         parts = [number for number, other in every.items() if other.parent == thing]
-        return {**one.to_dict(self.metres_per_unit), "parts": parts}
+        return {**one.to_dict(), "parts": parts}
 
     def measure_distance(self, scene: str, thing: int, other: int) -> dict[str, Any]:
         """Measure the distance between the positions of two things."""
@@ -159,7 +157,8 @@ class SceneTools:
         one, two = _numbered_thing(every, thing), _numbered_thing(every, other)
         distance = float((one.position - two.position).norm())
         # Metres are no arbitrary unit: a tenth of a millimetre is enough.
-        metres = {} if self.metres_per_unit is None else {"metres": round(distance * self.metres_per_unit, 4)}
+        unit = one.world.metres_per_unit
+        metres = {} if unit is None else {"metres": round(distance * unit, 4)}
         return {"thing": thing, "other": other, "distance": float(f"{distance:.6g}"), **metres}
 
     def render_view(self, scene: str, camera: str | None = None, things: list[int] | None = None) -> Picture:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from scoup.base import WorldFrame
 from scoup.scene import Gaussians
 
 Axis = Literal["x", "y", "z"]
@@ -43,7 +44,25 @@ def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
     """Return ``half_turn`` of Gaussians, on the CPU."""
     columns = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     turned_columns = half_turn(columns, axis)
-    return replace(gaussians, **{name: torch.from_numpy(column) for name, column in turned_columns.items()})
+    tensors = {name: torch.from_numpy(column) for name, column in turned_columns.items()}
+    return replace(gaussians, **tensors, world=turned_world(gaussians.world, axis))
+
+
+def turned_world(world: WorldFrame, axis: Axis) -> WorldFrame:
+    """Return a frame for Gaussians turned by 180 degrees."""
+    return replace(world, **{
+        name: turned_direction(direction, axis)
+        for name in ("up", "north") if (direction := getattr(world, name)) is not None
+    })  # fmt: skip
+
+
+def upright(world: WorldFrame, axis: Axis) -> np.ndarray:
+    """Return the rotation [3, 3] that makes up of a frame y, in the axes of a format whose y is up."""
+    if world.up is None:
+        return np.eye(3)
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.align_vectors([[0.0, 1.0, 0.0]], [turned_direction(world.up, axis)])[0].as_matrix()
 
 
 def turned_direction(direction: Sequence[float], axis: Axis) -> tuple[float, ...]:

@@ -10,15 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
-from scoup.base import JsonNode, ScoupWarning
+from scoup.base import JsonNode, ScoupWarning, WorldFrame
+from scoup.io.similarity import similarity_scale
 from scoup.io.splats.activation import keep_finite, unit_quats
-from scoup.io.splats.axes import Columns, half_turn
+from scoup.io.splats.axes import Columns, half_turn, turned_direction
 from scoup.io.splats.gltf_document import DEFAULTS, SH_DEGREE, SPLATS, GltfDocument, read_document, sh_names
 from scoup.io.splats.gltf_write import AXIS, FEATURES, METADATA, write_gltf
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz import spz_columns
-from scoup.scene import Gaussians
+from scoup.scene import Gaussians, rotation_matrices
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
@@ -38,10 +40,10 @@ def read_gltf(path: str | Path) -> Gaussians:
     The world's axes (left, up, forward) are turned to those of 3DGS by signs (``axes``).
 
     Buffers may be inside, or in files beside or below it. Values are kept bit by bit, but for positions that nodes
-    translate.
+    translate. Nodes that rotate or scale them become the frame of the world: its up, and the metres of its unit.
 
     Raises:
-        FileFormatError: the file is damaged, several nodes contain Gaussians, or a node rotates or scales them.
+        FileFormatError: the file is damaged, several nodes contain Gaussians, or a node mirrors or shears them.
 
     Warns:
         ScoupWarning: rows with values that are not finite (or no rotation) were dropped, or the file asks for
@@ -53,7 +55,7 @@ def read_gltf(path: str | Path) -> Gaussians:
             raise document.error(f"needs the extension {name[:60]!a}, which is not read", _EXPORT_PLAIN)
     packed = any(name.startswith(_SPZ) for name in _names(document.root, "extensionsUsed"))
     most = _REPEATS_PACKED if packed else _REPEATS
-    primitives, translation = _placed_splats(document)
+    primitives, world, translation = _placed_splats(document)
     parts: list[Columns] = []
     total = 0
     for primitive in primitives:
@@ -68,7 +70,8 @@ def read_gltf(path: str | Path) -> Gaussians:
     if translation.any():
         with np.errstate(all="ignore"):
             joined["means"] = (joined["means"].astype(np.float64) + translation).astype(np.float32)
-    return keep_finite(**half_turn(joined, AXIS), source=str(document.path))[0]
+    gaussians, _ = keep_finite(**half_turn(joined, AXIS), source=str(document.path))
+    return replace(gaussians, world=world)
 
 
 def _no_gaussians(document: GltfDocument) -> Exception:
@@ -95,31 +98,30 @@ def _nodes(node: JsonNode, key: str) -> list[JsonNode]:
 
 
 @np.errstate(all="ignore")  # translations beyond all numbers: rows that are not finite are dropped
-def _placed_splats(document: GltfDocument) -> tuple[list[JsonNode], np.ndarray]:
-    """Return the primitives with Gaussians of the scene, and the translation [3] float64 of their node."""
-    waiting = [(index, np.zeros(3), "") for index in reversed(_roots(document))]
+def _placed_splats(document: GltfDocument) -> tuple[list[JsonNode], WorldFrame, np.ndarray]:
+    """Return the primitives with Gaussians of the scene, and the frame and translation [3] float64 of their node."""
+    waiting = [(index, np.eye(4)) for index in reversed(_roots(document))]
     seen: set[str] = set()
-    placed: tuple[list[JsonNode], np.ndarray, str] | None = None
+    placed: tuple[list[JsonNode], np.ndarray, float, str] | None = None
     while waiting:
-        index, translation, turning = waiting.pop()
+        index, above = waiting.pop()
         node = document.entry("nodes", index)
         if node.place in seen:
             raise document.error(f"{node.place} has several parents, or is below itself")
         seen.add(node.place)
-        offset = _own_translation(node)
-        turning = turning or (node.place if offset is None else "")
-        translation = translation if offset is None else translation + offset
+        matrix = above @ _own_matrix(node)
         mesh = node.get("mesh")
         if mesh.value is not None and (splats := _splat_primitives(document.entry("meshes", mesh))):
-            if turning:
-                raise document.error(f"{turning} rotates or scales its Gaussians", _TURN)
+            if (scale := similarity_scale(matrix)) is None:
+                raise document.error(f"{node.place} is mirrored or stretched", _TURN)
             if placed is not None:
-                raise document.error(f"{placed[2]} and {node.place} both contain Gaussians", _MERGE)
-            placed = splats, translation, node.place
-        waiting += [(child, translation, turning) for child in reversed(_nodes(node, "children"))]
+                raise document.error(f"{placed[3]} and {node.place} both contain Gaussians", _MERGE)
+            placed = splats, matrix, scale, node.place
+        waiting += [(child, matrix) for child in reversed(_nodes(node, "children"))]
     if placed is None:
         raise _no_gaussians(document)
-    return placed[:2]
+    primitives, matrix, scale, _ = placed
+    return primitives, *_frame_of(matrix, scale)
 
 
 def _splat_primitives(mesh: JsonNode) -> list[JsonNode]:
@@ -141,19 +143,31 @@ def _roots(document: GltfDocument) -> list[JsonNode]:
     return [replace(node, value=index) for index, node in enumerate(nodes) if index not in below]
 
 
-def _own_translation(node: JsonNode) -> np.ndarray | None:
-    """Return the translation [3] float64 of a node, None if it rotates or scales."""
+def _own_matrix(node: JsonNode) -> np.ndarray:
+    """Return the transform [4, 4] float64 of a node."""
 
     def numbers(name: str, *default: float) -> np.ndarray:
         given = node.get(name)
         return np.array(default) if given.value is None else given.numbers(len(default))
 
     matrix = numbers("matrix", *np.eye(4).ravel()).reshape(4, 4).T
-    turn, scale = numbers("rotation", 0.0, 0.0, 0.0, 1.0), numbers("scale", 1.0, 1.0, 1.0)
-    translation = matrix[:3, 3] + numbers("translation", 0.0, 0.0, 0.0)
-    matrix[:3, 3] = 0.0
-    plain = (matrix == np.eye(4)).all() and (turn == [0, 0, 0, 1]).all() and (scale == 1).all()
-    return translation if plain else None
+    own = np.eye(4)
+    w_last = numbers("rotation", 0.0, 0.0, 0.0, 1.0)
+    rotation = rotation_matrices(torch.from_numpy(np.roll(w_last, 1))[None])[0].numpy()
+    own[:3, :3] = rotation * numbers("scale", 1.0, 1.0, 1.0)
+    own[:3, 3] = numbers("translation", 0.0, 0.0, 0.0)
+    return matrix @ own
+
+
+def _frame_of(matrix: np.ndarray, scale: float) -> tuple[WorldFrame, np.ndarray]:
+    """Return the frame of a node's similarity [4, 4], and the translation [3] in the axes of its Gaussians."""
+    inner = matrix[:3, :3]
+    if (inner == np.eye(3)).all():
+        return WorldFrame(), matrix[:3, 3]
+    # The row: y of the world in the axes of the Gaussians.
+    up = turned_direction((inner[1] / scale).tolist(), AXIS)
+    unit = None if abs(scale - 1) < 1e-6 else scale
+    return WorldFrame(unit, (up[0], up[1], up[2])), np.linalg.solve(inner, matrix[:3, 3])
 
 
 # ---- the Gaussians of one primitive, in its own frame

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, atomic_file
 from scoup.io.splats.activation import finite_arrays
-from scoup.io.splats.axes import Axis, Columns, half_turn
+from scoup.io.splats.axes import Axis, Columns, half_turn, upright
 from scoup.io.splats.gltf_document import (
     BINARY_CHUNK,
     CHUNK,
@@ -49,7 +49,7 @@ def write_gltf(
 
     All float32 values are kept bit by bit, but for what glTF does not allow: quaternions are normalised, opacities
     clipped to 0..1, scales made positive. Coefficients of SH above degree 3 are left out. Axes are turned to those of
-    glTF (left, up, forward) by signs (``axes``).
+    glTF (left, up, forward) by signs (``axes``). The node has the frame of the world: it is upright and in metres.
 
     Args:
         gaussians: at least one; rows that are not finite are refused.
@@ -70,6 +70,10 @@ def write_gltf(
         arrays["sh"] = arrays["sh"][:, : (SH_DEGREE + 1) ** 2]
     builder = _Builder()
     root = _root(builder, {name: array.astype(np.float32) for name, array in arrays.items()})
+    matrix = np.eye(4)
+    matrix[:3, :3] = (gaussians.world.metres_per_unit or 1.0) * upright(gaussians.world, AXIS)
+    if (matrix != np.eye(4)).any():
+        root["nodes"][0]["matrix"] = matrix.T.ravel().tolist()  # column by column
     if ids is not None:
         _add_features(builder, root, ids.numpy(), names)
     parts = builder.gltf(root) if path.suffix.lower() == ".gltf" else builder.glb(root)

@@ -18,7 +18,7 @@ import numpy as np
 from scoup.base import InputError, ScoupWarning, atomic_file, existing_file, share_of
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
-from scoup.io.splats.axes import Axis, Columns, flipped, half_turn
+from scoup.io.splats.axes import Axis, Columns, flipped, half_turn, turned_world
 from scoup.io.splats.rotation import rotated_quats, rotated_sh, with_largest, without_largest
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
@@ -48,7 +48,11 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = existing_file(path, "a .spz file")
     header, columns = spz_columns(path, read_bytes(path))
-    return replace(keep_finite(**columns, source=str(path))[0], antialiased=header.antialiased)
+    return replace(
+        keep_finite(**columns, source=str(path))[0],
+        antialiased=header.antialiased,
+        world=turned_world(header.world, _AXIS),
+    )
 
 
 def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
@@ -112,7 +116,9 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
         )
     # The most bits after the binary point that leave room for the largest coordinate.
     bits = next(bits for bits in range(MOST_BITS, -1, -1) if round(largest * (1 << bits)) <= _MOST_FIXED)
-    header = SpzHeader(version, len(means), degree, bits, gaussians.antialiased)
+    header = SpzHeader(
+        version, len(means), degree, bits, gaussians.antialiased, world=turned_world(gaussians.world, _AXIS)
+    )
     fixed = np.rint(means * (1 << bits)).astype("<i4")
     higher = _last_turned(sh[:, 1:])
     steps = np.where(np.arange(higher.shape[1]) < 3, *_STEPS)[:, None]  # degree 1, higher ones

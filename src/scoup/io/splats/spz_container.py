@@ -9,10 +9,11 @@ import struct
 import warnings
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from scoup.base import FileFormatError, ScoupWarning, counted
+from scoup.base import FileFormatError, ScoupWarning, WorldFrame, counted
+from scoup.io.splats.spz_georeference import GEOREFERENCE, georeference_record, read_georeference
 
 MAGIC = 0x5053474E  # "NGSP"
 _START = struct.Struct(
@@ -43,6 +44,7 @@ class SpzHeader:
     fraction_bits: int  # bits after the binary point of a coordinate
     antialiased: bool = False  # rasterised with compensated opacities
     axes: str = "RUB"  # directions of x, y, z: left or right, up or down, front or back
+    world: WorldFrame = field(default_factory=WorldFrame)  # in axes right, up, back
 
     @property
     def row_sizes(self) -> dict[str, int]:
@@ -92,12 +94,14 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
     """Return the bytes of a file; the same for the same header and attributes."""
-    flags = _ANTIALIASED if header.antialiased else 0
+    record = georeference_record(header.world)
+    records = _RECORD.pack(GEOREFERENCE, len(record)) + record if record else b""
+    flags = (_ANTIALIASED if header.antialiased else 0) | (_HAS_EXTENSIONS if records else 0)
     start = (MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
     if header.version < 4:
         packed = io.BytesIO()
         with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
-            stream.writelines([_START.pack(*start, 0), *(parts[name] for name in header.sizes)])
+            stream.writelines([_START.pack(*start, 0), *(parts[name] for name in header.sizes), records])
         return packed.getvalue()
     import zstandard
 
@@ -105,8 +109,8 @@ def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
     names = [name for name, size in header.row_sizes.items() if size]
     streams = [zstandard.ZstdCompressor(level=12).compress(parts[name]) for name in names]
     table = [_STREAM.pack(len(data), len(parts[name])) for name, data in zip(names, streams, strict=True)]
-    head = _START.pack(*start, len(streams)) + _PLACE.pack(_START.size + _PLACE.size)
-    return b"".join([head, *table, *streams])
+    head = _START.pack(*start, len(streams)) + _PLACE.pack(_START.size + _PLACE.size + len(records))
+    return b"".join([head, records, *table, *streams])
 
 
 def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
@@ -153,6 +157,8 @@ def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
                 problem = f"has axes of the unknown kind {number}"
                 raise FileFormatError(path, problem, "export it again without SPZ_ADOBE_coordinate_system")
             header = replace(header, axes=_axes(number))
+        elif kind == GEOREFERENCE and (world := read_georeference(records[start:offset])) is not None:
+            header = replace(header, world=world)
         elif kind != _ORBIT:
             warnings.warn(
                 f"{path}: the extension {kind:#010x} ({counted(size, 'byte')}) is unknown and was not read; values "

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.base import InputError, ScoupError, WriteError, atomic_path
 from scoup.io.splats.activation import finite_arrays
-from scoup.io.splats.axes import Axis, half_turn, turned_direction
+from scoup.io.splats.axes import Axis, half_turn, turned_direction, upright
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene import Gaussians
 
@@ -54,7 +54,8 @@ def write_usd(
     """Write an OpenUSD file; the suffix decides between text (.usda), binary (.usd, .usdc) and a package (.usdz).
 
     All float32 values are kept bit by bit, but for what ``finite_arrays`` changes. Axes are turned to those of a stage
-    with y up (right, up, back) by signs (``axes``); a unit is a metre.
+    with y up (right, up, back) by signs (``axes``). With a frame of the world the stage is upright and has the
+    metres of its unit, else 1.
 
     Args:
         gaussians: at least one; rows that are not finite are refused.
@@ -68,7 +69,8 @@ def write_usd(
     if not len(gaussians):
         raise InputError(f"{path}: there are no Gaussians to write")
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
-    finite = Gaussians(*(torch.from_numpy(array).float() for array in arrays.values()))
+    tensors = (torch.from_numpy(array).float() for array in arrays.values())
+    finite = Gaussians(*tensors, world=gaussians.world)
     with atomic_path(path, overwrite) as temporary:
         is_package = path.suffix.lower() == ".usdz"
         # A short name: usd-core writes to a longer one first.
@@ -120,11 +122,18 @@ def _stage(usd: Any, gaussians: Gaussians, things: Sequence[UsdThing]) -> Any:
     """Return a stage in memory."""
     stage = usd.Usd.Stage.CreateInMemory()
     usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
-    usd.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    usd.UsdGeom.SetStageMetersPerUnit(stage, gaussians.world.metres_per_unit or 1.0)
+    if things:
+        root = usd.UsdGeom.Xform.Define(stage, SCENE).GetPrim()
+    else:
+        root = _define_splat(usd, stage, SPLAT, gaussians)
+    stage.SetDefaultPrim(root)
+    matrix = np.eye(4)
+    matrix[:3, :3] = upright(gaussians.world, _AXIS).T  # of row vectors
+    if (matrix != np.eye(4)).any():
+        usd.UsdGeom.Xformable(root).AddTransformOp().Set(usd.Gf.Matrix4d(*matrix.tolist()))
     if not things:
-        stage.SetDefaultPrim(_define_splat(usd, stage, SPLAT, gaussians))
         return stage
-    stage.SetDefaultPrim(usd.UsdGeom.Xform.Define(stage, SCENE).GetPrim())
     rest = torch.ones(len(gaussians), dtype=torch.bool)
     for thing in things:
         if not thing.members.any():
