@@ -140,10 +140,17 @@ def compare(
 
 def _refuse(old: Field, new: Field, registration: Registration) -> None:
     """Raise an error, or warn if the transform was passed."""
-    agree = f"{registration.agreeing} of {registration.things} things agree with {_name(old)}"
+    agree = f"{registration.agreeing} of {registration.things} things agree"
     if registration.source != "transform passed":
-        raise InputError(f"{_name(new)}: {agree}, too few to find where it lies; pass `transform`")
-    warnings.warn(f"{_name(new)}: {agree} under `transform`; omit it to search", ScoupWarning, stacklevel=3)
+        raise InputError(
+            f"{_name(new)}: cannot be registered with {_name(old)} ({agree}); check that both show one place, or pass "
+            "`transform`"
+        )
+    warnings.warn(
+        f"{_name(new)}: `transform` does not fit {_name(old)} ({agree}); omit it to register the frames",
+        ScoupWarning,
+        stacklevel=3,
+    )
 
 
 def _name(field: Field) -> str:

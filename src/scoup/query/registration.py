@@ -213,7 +213,7 @@ class _Pairs:
             chosen.append(np.array(rows, np.int64))
             vectors.append(centred(capture.embeddings[[thing.number or 0 for thing in things]], centre))
             places.append(np.array([thing.position.tolist() for thing in things]).reshape(-1, 3))
-            sizes.append(np.array([thing.size for thing in things]))
+            sizes.append(np.array([thing.size for thing in things]).clip(1e-12))
         fewer = min(map(len, chosen))
         if not fewer:
             return cls(np.zeros((0, 2), np.int64), (np.zeros((0, 3)),) * 2, np.zeros(0), np.zeros(0), 0)
