@@ -27,7 +27,7 @@ from scoup.scene import Cameras, Gaussians, RegionMap, Regions, quats_of_rotatio
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.words import unit
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 SCALES = (0.3, 3.0)
 SHIFT = 3.0  # scene units, standard deviation along each axis
 LIGHT = 0.3  # length of what another light adds to all embeddings of a capture
@@ -194,17 +194,15 @@ def turned_layout(name: str, n_gaussians: int) -> tuple[Pair, Record]:
     things = layout.things()
     removed, added, moves = drawn_changes(things, rng, round(len(things) / 9))
     before, after = dict.fromkeys(added, AWAY), dict.fromkeys(removed, AWAY) | moves
-    scenes = [
-        changed_scene(layout, int(seed), n_gaussians, shifts, more)
-        for shifts, more in ((before, 0), (after, 1000))
-    ]
+    first = changed_scene(layout, int(seed), n_gaussians, before, 0)
+    then = changed_scene(layout, int(seed), n_gaussians, after, 1000)
     frame = Frame.drawn(rng)
-    gaussians, cameras = frame.moved(scenes[1].gaussians, scenes[1].building)
-    regions = in_other_light(scenes[1].regions, rng)
-    scenes[1] = replace(scenes[1], gaussians=gaussians, building=cameras, regions=regions)
-    pair, words = (field_of(scenes[0]), field_of(scenes[1])), scenes[0].words.texts
+    gaussians, cameras = frame.moved(then.gaussians, then.building)
+    then = replace(then, gaussians=gaussians, building=cameras, regions=in_other_light(then.regions, rng))
     truth = Truth(frozenset(removed), frozenset(added), frozenset(moves))
-    return pair, registered(pair, words, frame, lambda found: scored(found, *scenes, truth, False))
+    pair = field_of(first), field_of(then)
+    words = first.words.texts
+    return pair, registered(pair, words, frame, lambda found: scored(found, first, then, truth, False))
 
 
 def noisy_halves(name: str, data: Path) -> tuple[scoup.LanguageField, scoup.LanguageField, Frame]:

@@ -130,7 +130,7 @@ def compare(
         _refuse(old, new, registration)
     matrix = registration.transform
     gone = _missing(*both, np.linalg.inv(matrix), centre)
-    come = _missing(*both[::-1], matrix, centre)
+    come = _missing(both[1], both[0], matrix, centre)
     changes = sorted(
         _changes(gone, come, matrix), key=lambda change: (KINDS.index(change.kind), -change.confidence)
     )

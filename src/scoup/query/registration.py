@@ -199,7 +199,7 @@ class _Pairs:
     """P pairs of an old and a new thing that look alike."""
 
     rows: NDArray[np.int64]  # [P, 2] of the things
-    places: tuple[Array, Array]  # [P, 3] positions
+    places: list[Array]  # two of [P, 3], positions
     growth: Array  # [P] logarithm of the old one's size over the new one's
     reach: Array  # [P] up to which distance they are in one place, in units of the old capture
     things: int  # of the capture with fewer, with or without a pair
@@ -216,7 +216,7 @@ class _Pairs:
             sizes.append(np.array([thing.size for thing in things]).clip(1e-12))
         fewer = min(map(len, chosen))
         if not fewer:
-            return cls(np.zeros((0, 2), np.int64), (np.zeros((0, 3)),) * 2, np.zeros(0), np.zeros(0), 0)
+            return cls(np.zeros((0, 2), np.int64), [np.zeros((0, 3))] * 2, np.zeros(0), np.zeros(0), 0)
         cosines = vectors[0] @ vectors[1].T
         ranks = np.maximum(*(np.argsort(np.argsort(-cosines, axis), axis) for axis in (0, 1)))
         one, other = np.nonzero((ranks < constants.CANDIDATES) & (cosines >= constants.LIKE[0]))
@@ -224,7 +224,7 @@ class _Pairs:
         reach = np.minimum(constants.SAME_PLACE[0] * sizes[0], constants.SAME_PLACE[1] * extent)
         return cls(
             np.stack([chosen[0][one], chosen[1][other]], 1),
-            (places[0][one], places[1][other]),
+            [places[0][one], places[1][other]],
             np.log(sizes[0][one] / sizes[1][other]),
             reach[one],
             fewer,
