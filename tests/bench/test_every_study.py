@@ -113,6 +113,7 @@ def test_changes_between_captures() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)  # four scenes
 def test_frames_of_captures() -> None:
     rows = ran(Registration(scenes=("yard-0", "table-0"), n_gaussians=12_000, real=()))["rows"]
     for name in ("yard-0", "table-0"):
