@@ -46,12 +46,12 @@ Pair = tuple[scoup.LanguageField, scoup.LanguageField]
 class Registration(Study):
     """Register pairs of captures of one place in different frames, and of different places.
 
-    Simulated pairs, of a layout with a seed: up to a third of the things removed, added or moved, other cameras, splat, masks
-    and embeddings, and all embeddings of the later capture shifted, as another light may. Scenes with real models:
-    both halves of the path of cameras, each over a noisy copy of the splat with half of its Gaussians; nothing changed.
-    The later capture is turned by 0 to 180 degrees, scaled by 0.3 to 3, and shifted. Different places: all old with all
-    new captures of the first simulated pairs, and of the real ones. The constants of scoup.query.registration were
-    tuned on seeds 100 and 101, and on every other view of the scenes with real models.
+    Simulated pairs, of a layout with a seed: up to a third of the things removed, added or moved, other cameras, splat,
+    masks and embeddings, and all embeddings of the later capture shifted, as another light may. Scenes with real
+    models: both halves of the path of cameras, each over a noisy copy of the splat with half of its Gaussians; nothing
+    changed. The later capture is turned by 0 to 180 degrees, scaled by 0.3 to 3, and shifted. Different places: all old
+    with all new captures of the first simulated pairs, and of the real ones. The constants of
+    scoup.query.registration were tuned on seeds 100 and 101, and on every other view of the scenes with real models.
     """
 
     scenes: tuple[str, ...] = tuple(f"{layout}-{seed}" for seed in range(5) for layout in LAYOUTS)
