@@ -32,6 +32,7 @@ STUDIES = Family(
         "archive": "benchmarks.archive:Archives",
         "archive-times": "benchmarks.archive_times:ArchiveTimes",
         "compare": "benchmarks.compare:Compare",
+        "registration": "benchmarks.registration:Registration",
     },
 )
 

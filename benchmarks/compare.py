@@ -124,9 +124,7 @@ def of_layout(name: str, n_gaussians: int) -> Record:
     def capture(
         shifts: Mapping[int, Floats], more: int, part: float = 1.0
     ) -> tuple[DemoScene, scoup.LanguageField]:
-        parts = {each.name: getattr(layout, each.name) for each in fields(layout)}
-        changed = ChangedLayout(**parts, shifts=shifts).seen(part, between=bool(more))
-        scene = make_demo_scene(int(seed), n_gaussians + more, *SIZES_OF_VIEWS, layout=changed)
+        scene = changed_scene(layout, int(seed), n_gaussians, shifts, more, part)
         return scene, field_of(scene)
 
     before = dict.fromkeys(added, AWAY)
@@ -149,8 +147,17 @@ def of_layout(name: str, n_gaussians: int) -> Record:
     return found
 
 
+def changed_scene(
+    layout: Layout, seed: int, n_gaussians: int, shifts: Mapping[int, Floats], more: int, part: float = 1.0
+) -> DemoScene:
+    """Return the scene of a layout with things shifted, with ``more`` Gaussians from other cameras."""
+    parts = {each.name: getattr(layout, each.name) for each in fields(layout)}
+    changed = ChangedLayout(**parts, shifts=shifts).seen(part, between=bool(more))
+    return make_demo_scene(seed, n_gaussians + more, *SIZES_OF_VIEWS, layout=changed)
+
+
 def drawn_changes(
-    things: tuple[Thing, ...], rng: np.random.Generator
+    things: tuple[Thing, ...], rng: np.random.Generator, of_each: int = OF_EACH
 ) -> tuple[list[int], list[int], dict[int, Floats]]:
     """Draw the things that are removed, added, and moved by how much: sideways, to where no other small thing is."""
     boxes = [np.concatenate([thing.mesh(piece).vertices for piece in thing.pieces]) for thing in things]
@@ -160,9 +167,9 @@ def drawn_changes(
     order = [
         number for number in rng.permutation(np.flatnonzero(small)).tolist() if not things[number].several
     ]
-    removed, added, moves = order[:OF_EACH], order[OF_EACH : 2 * OF_EACH], dict[int, Floats]()
-    for number in order[2 * OF_EACH :]:
-        if len(moves) == OF_EACH:
+    removed, added, moves = order[:of_each], order[of_each : 2 * of_each], dict[int, Floats]()
+    for number in order[2 * of_each :]:
+        if len(moves) == of_each:
             break
         for _ in range(50):
             turn, far = rng.uniform(0, 2 * np.pi), rng.uniform(*MOVES) * sizes[number]

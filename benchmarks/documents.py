@@ -36,6 +36,7 @@ from benchmarks.lerf_sized import LerfSized
 from benchmarks.photographs import Photographs
 from benchmarks.query import Query
 from benchmarks.real_scenes import PHOTOGRAPHED, place_of
+from benchmarks.registration import Registration
 from benchmarks.stages import Stages
 from benchmarks.study import Study
 from benchmarks.things import Things
@@ -132,6 +133,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "archive": (Archives, "archive"),
     "archive times": (ArchiveTimes, "archive_times"),
     "compare": (Compare, "compare"),
+    "registration": (Registration, "registration"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""

@@ -23,6 +23,7 @@ from benchmarks.gpu import Gpu
 from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
+from benchmarks.registration import FOUND, KNOWN, RIGHT, SIMULATED, Registration
 from benchmarks.stages import Stages
 from benchmarks.study import Record, Study, run
 from benchmarks.things import PAIRS, Things, average_precision
@@ -109,6 +110,18 @@ def test_changes_between_captures() -> None:
     assert all(right <= reported for of in rows.values() for right, reported, _ in of.values())
     assert sum(right for right, _, _ in rows["changed"].values()) >= 4
     assert sum(reported for _, reported, _ in rows["unchanged"].values()) <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)  # four scenes
+def test_frames_of_captures() -> None:
+    rows = ran(Registration(scenes=("yard-0", "table-0"), n_gaussians=12_000, real=()))["rows"]
+    for name in ("yard-0", "table-0"):
+        assert rows[name]["error"] <= RIGHT
+        assert {kind: right[0] for kind, right in rows[name][FOUND].items()} == {
+            kind: right[0] for kind, right in rows[name][KNOWN].items()
+        }
+    assert rows[f"different places, {SIMULATED}"] == {"pairs": 2, "accepted": []}
 
 
 def test_the_area_under_the_curve_counts_ties_half() -> None:

@@ -327,6 +327,9 @@ def test_an_object_that_is_gone() -> None:
     Path("t.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
     words = ("--text", "words.npz", "--transform", "t.txt")
     out = printed("compare", "old.scoup", "new.scoup", *words)
+    agree = "scale 1: 14 of 14 things agree, residual 0"
+    assert f"transform passed, {agree}" in out
+    assert f"same frame, {agree}" in printed("compare", "old.scoup", "new.scoup", *words[:2], "--overwrite")
     record = json.loads(Path("new_changes/compare.json").read_text())
     (change,) = record["changes"]
     assert (change["kind"], change["old"]["text"], change["new"]) == ("removed", "lamp", None)

@@ -80,7 +80,8 @@ VERBS: dict[str, tuple[list[str], dict[str, Any], str]] = {
         {"out": "f_catalog", "format": "scoup scene graph", "version": 1}, "files frame things objects relations"),
     "compare f.scoup f.scoup": (
         ["f_changes/compare.json", "f_changes/index.html"],
-        {"out": "f_changes", "format": "scoup comparison", "version": 1, "changes": []}, "files transform objects"),
+        {"out": "f_changes", "format": "scoup comparison", "version": 1, "changes": [], "source": "same frame"},
+        "files transform scale agreeing things residual objects"),
     "render f.scoup --camera all": (
         [f"f_color/{view}.png" for view in VIEWS],
         {"out": "f_color", "files": [f"f_color/{view}.png" for view in VIEWS]}, ""),

@@ -30,9 +30,11 @@ class Box:
     middle: tuple[float, float, float]
     size: tuple[float, float, float]
 
-    def cloud(self, steps: int = 6) -> Tensor:
+    def cloud(self, steps: int = 6, is_rough: bool = False) -> Tensor:
         ticks = (torch.arange(steps) + 0.5) / steps - 0.5
         grid = torch.stack(torch.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+        if is_rough:  # all clouds in the same way
+            grid = grid + (torch.rand(grid.shape, generator=torch.Generator().manual_seed(0)) - 0.5) / steps
         return torch.tensor(self.middle) + grid * torch.tensor(self.size)
 
 
@@ -69,12 +71,13 @@ def planted_room(
     cameras: Sequence[Camera] = (FRONT, BACK),
     moved: Similarity | None = None,
     has_things: bool = True,
+    is_rough: bool = False,
 ) -> LanguageField:
     """A field of boxes and clutter; thing n is box n. It knows the words for all of them, and ``ABSENT``."""
     clutter = [Box(name, (3.0 * place - 9, 40, 1), (1, 1, 1)) for place, name in enumerate(CLUTTER)]
     every = [*boxes, *clutter]
     names = list(dict.fromkeys(box.name for box in every))
-    means = torch.cat([box.cloud() for box in every]).double()
+    means = torch.cat([box.cloud(is_rough=is_rough) for box in every]).double()
     size = len(means) // len(every)
     if moved is not None:
         means = moved.scale * means @ moved.turn.T + moved.shift

@@ -45,17 +45,24 @@ def test_what_is_gone_and_what_is_new_or_not_seen(camera: Camera) -> None:
     assert changes(blind, room) == {("unseen", None, LAMP)}
 
 
-def test_how_far_a_thing_moved_in_another_frame() -> None:
+@pytest.mark.parametrize("is_known", [True, False])
+def test_how_far_a_thing_moved_in_another_frame(is_known: bool) -> None:
     lamp = Box("lamp", (0.9, 0, 1.8), (0.3, 0.3, 0.3))
     boxes = [lamp if box.name == "lamp" else box for box in ROOM]
     frame = Similarity(TURN, 3.0, torch.tensor([5.0, -4.0, 2.0]).double())
     back = np.eye(4)
     back[:3, :3] = TURN.numpy().T / 3
     back[:3, 3] = -back[:3, :3] @ frame.shift.numpy()
-    old, new = planted_room(), planted_room(boxes, moved=frame)
-    (change,) = compare(old, new, WORDS, back).changes
+    old, new = planted_room(is_rough=True), planted_room(boxes, moved=frame, is_rough=True)
+    comparison = compare(old, new, WORDS, back if is_known else None)
+    registration = comparison.registration
+    assert registration.source == ("transform passed" if is_known else "registered")
+    assert registration.transform == pytest.approx(back, abs=1e-5)
+    assert (registration.agreeing, registration.things) == (14, 15)  # all but the lamp
+    (change,) = comparison.changes
     assert (change.kind, change.distance) == ("moved", pytest.approx(np.hypot(0.9, 0.2), rel=0.01))
-    record = compare(old.with_world(WorldFrame(2.0)), new, WORDS, back).to_dict()["changes"][0]
+    known = None if not is_known else back
+    record = compare(old.with_world(WorldFrame(2.0)), new, WORDS, known).to_dict()["changes"][0]
     assert record["distance_metres"] == pytest.approx(2 * record["distance"], rel=1e-4)
     for side, metres in (("old", 2), ("new", 2 / 3)):
         extent = record[side]["box"]["extent"]
@@ -79,19 +86,30 @@ def test_a_capture_without_things_that_count_can_be_compared() -> None:
     owners = torch.where(torch.arange(len(room))[:, None] % 40 == 0, room.thing_table.owners, -1)
     bare.thing_table = replace(room.thing_table, owners=owners.int())
     assert bare.things() == []
-    assert changes(room, bare) == changes(bare, room) == set()  # what is of no thing may be anything
+    for one, other in ((room, bare), (bare, room)):
+        with warns(ScoupWarning):
+            assert not changes(one, other, np.eye(4))  # what is of no thing may be anything
 
 
 def shifted(*by: float) -> LanguageField:
     return planted_room(moved=Similarity(torch.eye(3).double(), 1, torch.tensor(by).double()))
 
 
+def test_frames_are_the_same_only_if_the_gaussians_fit() -> None:
+    room = planted_room()
+    for by in ((0.0, 0.0, 0.0), (0.0, 0.02, 0.0), (500.0, 500.0, 500.0)):
+        registration = compare(room, shifted(*by), WORDS).registration
+        assert registration.source == ("registered" if any(by) else "same frame")
+        assert registration.transform[:3, 3] == pytest.approx(np.array(by) * -1, abs=1e-3)
+        assert registration.residual == pytest.approx(0, abs=1e-3)
+
+
 def test_captures_that_cannot_be_compared() -> None:
     room, blind, other = planted_room(), planted_room(), planted_room()
     blind.cameras = Cameras([])
     other.info = type(other.info)(("m",), "other", other.fingerprint, len(other))
-    for refused in (shifted(500, 500, 500), planted_room(has_things=False), blind, other):
+    for refused in (without(planted_room(), *range(3, 15)), planted_room(has_things=False), blind, other):
         with refuses():
-            compare(room, refused, WORDS)
+            compare(shifted(0, 3, 0), refused, WORDS)
     with warns(ScoupWarning):
-        compare(room, shifted(0, 1.5, 0), WORDS)
+        compare(room, shifted(0, 1.5, 0), WORDS, np.eye(4))

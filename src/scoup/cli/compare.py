@@ -27,7 +27,7 @@ class CaptureOptions(TextOptions):
     """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""
     transform: Path | None = None
     """Text or JSON file with 4 x 4 numbers: the rotation, scale and translation from the frame of NEW to that of OLD.
-    Default: the frames are the same."""
+    Default: things that both captures contain give it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +61,7 @@ class CompareCaptures:
             comparison, files = compare_captures(
                 old, new, words, transform, out, overwrite=overwrite, progress=progress
             )
+        console.say(comparison.registration.describe())
         for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None

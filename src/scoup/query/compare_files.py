@@ -22,9 +22,10 @@ from scoup.query.catalog_writing import (
     cropped,
     viewing_cameras,
 )
-from scoup.query.comparison import KINDS, Array, Change, Comparison, compare, scale_of
+from scoup.query.comparison import KINDS, Change, Comparison, compare
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
+from scoup.query.registration import Array, scale_of
 from scoup.scene import Camera
 
 RECORD = "compare.json"
@@ -70,6 +71,7 @@ def save_comparison(
         heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
         count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
         sections = {f"{title} ({len(cards[kind])})": cards[kind] for kind, title in TITLES.items()}
+        count = f"{count}; {comparison.registration.describe()}"
         content = cards_page(f"Changes between {heading}", count, sections, pairs=True)
         write_text(hidden / PAGE, content)
     return files
@@ -91,7 +93,7 @@ def _pictures(
     old: Field, new: Field, change: Change, comparison: Comparison
 ) -> Iterator[tuple[str, Picture]]:
     """Yield the object before and after; where it is not there, its place from the same camera."""
-    transform = comparison.transform
+    transform = comparison.registration.transform
     sides = (old, change.old, new, np.linalg.inv(transform)), (new, change.new, old, transform)
     for index, (field, thing, other, to_other) in enumerate(sides):
         if thing is None:

@@ -12,9 +12,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -23,18 +22,22 @@ from numpy.typing import NDArray
 from scoup.base import InputError, ScoupWarning, WorldFrame, rounded_vector
 from scoup.field import NO_THING, Field
 from scoup.query import constants
-from scoup.query.boxes import PointSets
 from scoup.query.language_field import LanguageField
+from scoup.query.registration import (
+    Array,
+    Capture,
+    Registration,
+    centred,
+    moved_points,
+    register,
+    scale_of,
+)
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.query.view_answer import render_depth
 
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
-
 SCHEMA = "scoup comparison"
 
-Array = NDArray[np.floating[Any]]
 Kind = Literal["added", "removed", "moved", "unseen"]
 KINDS: tuple[Kind, ...] = ("added", "removed", "moved", "unseen")
 
@@ -64,8 +67,8 @@ class Comparison:
     """By kind, the surest first."""
     counts: tuple[int, int]
     """Objects of the old and of the new capture."""
-    transform: Array
-    """[4, 4] from the frame of the new capture to that of the old one."""
+    registration: Registration
+    """Of their frames."""
     world: WorldFrame
     """That of the old capture."""
 
@@ -92,69 +95,10 @@ class Comparison:
         return {
             "format": SCHEMA,
             "version": 1,
-            "transform": self.transform.tolist(),
+            **self.registration.to_dict(),
             "objects": {"old": self.counts[0], "new": self.counts[1]},
             "changes": changes,
         }
-
-
-@dataclass(frozen=True, eq=False)
-class _Capture:
-    """A capture whose things are searched for in the other."""
-
-    field: Field
-    things: list[Thing]  # with their names
-    to_other: Array  # [4, 4]
-
-    @cached_property
-    def points(self) -> PointSets:
-        """Some Gaussians of each thing, without strays."""
-        members = [thing.gaussians for thing in self.things]
-        return PointSets.of(self.field.gaussians, members).sample(constants.LOOKED_FOR)
-
-    @cached_property
-    def embeddings(self) -> Array:
-        """[T, D] of all things."""
-        table = self.field.thing_table
-        assert table is not None
-        return table.embeddings.double().cpu().numpy()
-
-    @cached_property
-    def solid(self) -> NDArray[np.int64]:
-        """Gaussians that something can lie on."""
-        gaussians = self.field.gaussians
-        return np.flatnonzero(
-            (gaussians.finite() & (gaussians.opacities >= constants.LEAST_OPACITY)).cpu().numpy()
-        )
-
-    @cached_property
-    def tree(self) -> KDTree:
-        from scipy.spatial import KDTree
-
-        return KDTree(self.field.gaussians.means.double().cpu().numpy()[self.solid])
-
-    @property
-    def places(self) -> Array:
-        """[M, 3] the points in the other's frame."""
-        return moved_points(self.points.means, self.to_other)
-
-    @property
-    def reach(self) -> Array:
-        """[M] up to which distance, in the other's units, each point lies on another."""
-        sizes = np.array(
-            [thing.size * max(constants.REACH, thing.n_gaussians**-0.5) for thing in self.things]
-        )
-        return sizes[self.points.owners] * scale_of(self.to_other)
-
-
-def scale_of(transform: Array) -> float:
-    """Return the scale of a similarity [4, 4]."""
-    return float(np.cbrt(np.linalg.det(transform[:3, :3])))
-
-
-def moved_points(points: Array, transform: Array) -> Array:
-    """Return points [M, 3] moved by a transform [4, 4]."""
-    return points @ transform[:3, :3].T + transform[:3, 3]
 
 
 def compare(
@@ -168,32 +112,45 @@ def compare(
     Args:
         old, new: with things and cameras, and embeddings of one model.
         words: that name the things (``LanguageField.naming_question``).
-        transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: they are the same.
+        transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: things of both give it.
 
     Raises:
-        InputError: a field has no things or cameras, the embeddings are of two models, or the frames do not fit.
+        InputError: a field has no things or cameras, the embeddings are of two models, or too few things agree.
     """
     _check(old, new)
-    matrix = np.eye(4) if transform is None else transform
-    if new.world.metres_per_unit is None and (unit := old.world.metres_per_unit) is not None:
-        new = new.with_world(replace(new.world, metres_per_unit=unit * scale_of(matrix)))
     named = [named_things(field, field.naming_question(words)) for field in (old, new)]
-    both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
-    _check_frames(*both)
+    both = Capture(old, named[0]), Capture(new, named[1])
     centre = np.concatenate([capture.embeddings for capture in both]).mean(0)
-    gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
+    registration = register(*both, centre, transform)
+    if not registration.plausible:
+        _refuse(old, new, registration)
+    matrix = registration.transform
+    gone = _missing(*both, np.linalg.inv(matrix), centre)
+    come = _missing(both[1], both[0], matrix, centre)
     changes = sorted(
         _changes(gone, come, matrix), key=lambda change: (KINDS.index(change.kind), -change.confidence)
     )
     counts = len(find_objects(old, named[0])), len(find_objects(new, named[1]))
-    if len(gone) + len(come) > constants.MOST_CHANGES * sum(counts):
-        warnings.warn(
-            f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "
-            f"nowhere, in {_name(old)}; if most did not change, the frames differ: pass `transform`",
-            ScoupWarning,
-            stacklevel=2,
+    unit = old.world.metres_per_unit
+    if new.world.metres_per_unit is None and unit is not None:
+        world = replace(new.world, metres_per_unit=unit * scale_of(matrix))
+        changes = [replace(one, new=one.new and replace(one.new, world=world)) for one in changes]
+    return Comparison(tuple(changes), counts, registration, old.world)
+
+
+def _refuse(old: Field, new: Field, registration: Registration) -> None:
+    """Raise an error, or warn if the transform was passed."""
+    agree = f"{registration.agreeing} of {registration.things} things agree"
+    if registration.source != "transform passed":
+        raise InputError(
+            f"{_name(new)}: cannot be registered with {_name(old)} ({agree}); check that both show one place, or pass "
+            "`transform`"
         )
-    return Comparison(tuple(changes), counts, matrix, old.world)
+    warnings.warn(
+        f"{_name(new)}: `transform` does not fit {_name(old)} ({agree}); omit it to register the frames",
+        ScoupWarning,
+        stacklevel=3,
+    )
 
 
 def _name(field: Field) -> str:
@@ -211,16 +168,6 @@ def _check(old: Field, new: Field) -> None:
     if models[0] != models[1]:
         raise InputError(
             f"{_name(new)}: contains embeddings of {models[1]}, {_name(old)} of {models[0]}; build both with one model"
-        )
-
-
-def _check_frames(old: _Capture, new: _Capture) -> None:
-    low, high = np.quantile(old.tree.data, constants.INNER, axis=0)
-    ends = np.quantile(moved_points(new.tree.data, new.to_other), constants.INNER, axis=0)
-    if bool(((ends[1] < low) | (ends[0] > high)).any()):
-        raise InputError(
-            f"{_name(new.field)}: lies beside {_name(old.field)}, so the frames differ; pass the `transform` from its "
-            "frame to that of the old capture"
         )
 
 
@@ -243,11 +190,16 @@ class _Missing:
         return Change(kind, old, new, None, self.absent * self.seen)
 
 
-def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
+def _missing(one: Capture, other: Capture, to_other: Array, centre: Array) -> list[_Missing]:
     """Return the objects missing from the other capture; things in the box of a larger one belong to it."""
     if not one.things:
         return []
-    absent, things = 1 - _present(one, other, centre), one.things
+    points, things = one.points, one.things
+    places = moved_points(points.means, to_other)
+    # [M] up to which distance, in the other's units, each point lies on another.
+    sizes = np.array([thing.size * max(constants.REACH, thing.n_gaussians**-0.5) for thing in things])
+    reach = sizes[points.owners] * scale_of(to_other)
+    absent = 1 - _present(one, other, places, reach, centre)
     together: dict[int, list[int]] = {}
     gone = np.flatnonzero(absent >= constants.GONE).tolist()
     for index in sorted(gone, key=lambda index: -things[index].n_gaussians):
@@ -258,8 +210,12 @@ def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
         for first, indices in together.items()
         if sum(things[index].n_regions or 0 for index in indices) >= constants.GONE_REGIONS
     }
-    seen = _seen(one, other, np.isin(one.points.owners, [*together]))
-    looks = _looks(one.embeddings, centre)
+    asked = np.isin(points.owners, [*together])
+    seen = _seen(other, places[asked], reach[asked])
+    weights = np.zeros(len(asked))
+    weights[asked] = points.weights[asked] * seen
+    seen = points.sums(weights) / points.sums(points.weights).clip(1e-12)
+    looks = centred(one.embeddings, centre)
     return [
         _Missing(
             [things[index] for index in indices],
@@ -271,49 +227,36 @@ def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
     ]
 
 
-def _looks(embeddings: Array, centre: Array) -> Array:
-    """Return unit vectors [T, D] of how embeddings differ from the mean of all things."""
-    differing = embeddings - centre
-    return differing / np.linalg.norm(differing, axis=1, keepdims=True).clip(1e-9)
-
-
-def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
+def _present(one: Capture, other: Capture, places: Array, reach: Array, centre: Array) -> Array:
     """Return the share of each thing [T] that lies on things like it in the other capture."""
     numbers = np.array([thing.number for thing in one.things], np.int64)
-    cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
+    cosines = centred(one.embeddings, centre)[numbers] @ centred(other.embeddings, centre).T
     alike = np.pad(
         ((cosines - constants.LIKE[0]) / (constants.LIKE[1] - constants.LIKE[0])).clip(0, 1), ((0, 0), (0, 1))
     )  # last: NO_THING
     points, table = one.points, other.field.thing_table
     assert table is not None
-    nearest = other.tree.query(one.places, k=min(constants.NEAREST, len(other.solid)))
+    nearest = other.tree.query(places, k=min(constants.NEAREST, len(other.solid)))
     distances, near = (np.asarray(array).reshape(len(points.means), -1) for array in nearest)
     owners = table.owners.cpu().numpy()[other.solid[near]]  # [M, k, S]
     likeness = alike[points.owners[:, None, None], owners].max(2)
     likeness = np.where((owners == NO_THING).all(2), 1.0, likeness)  # Gaussians of no thing may match any
-    on = np.where(distances <= one.reach[:, None], likeness, 0.0).max(1)
+    on = np.where(distances <= reach[:, None], likeness, 0.0).max(1)
     return points.sums(points.weights * on) / points.sums(points.weights).clip(1e-12)
 
 
-def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
-    """Return the share of the place of each thing [T] at which, or through which, a camera of the other capture looks.
-
-    Args:
-        asked: [M] boolean, the points that count.
-    """
-    places, reach = torch.from_numpy(one.places[asked]), one.reach[asked]
-    seen = np.zeros(len(places), bool)
+def _seen(other: Capture, places: Array, reach: Array) -> NDArray[np.bool_]:
+    """Return the places [M] at which, or through which, a camera of the other capture looks."""
+    points, seen = torch.from_numpy(places), np.zeros(len(places), bool)
     for camera in other.field.cameras or ():
         small = camera.scaled(min(1.0, constants.DEPTH_SIDE / max(camera.width, camera.height)))
-        pixels, depths = (tensor.numpy() for tensor in small.pixels(places))
-        inside = small.shows(places).numpy() & ~seen
+        pixels, depths = (tensor.numpy() for tensor in small.pixels(points))
+        inside = small.shows(points).numpy() & ~seen
         if inside.any():
             depth = render_depth(other.field.project(small), other.field.gaussians, small).numpy()
             columns, rows = pixels[inside].astype(int).T
             seen[inside] = ~(depth[rows, columns] < depths[inside] - reach[inside])  # NaN: nothing is there
-    weights = np.zeros(len(asked))
-    weights[asked] = one.points.weights[asked] * seen
-    return one.points.sums(weights) / one.points.sums(one.points.weights).clip(1e-12)
+    return seen
 
 
 def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) -> list[Change]:

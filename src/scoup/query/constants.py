@@ -155,10 +155,27 @@ LEAST_OPACITY = 0.1
 """Opacity of a Gaussian that something can lie on."""
 DEPTH_SIDE = 320
 """Pixels of the longer side of a depth map."""
-INNER = (0.02, 0.98)
-"""Shares of the Gaussians between which a capture lies."""
-MOST_CHANGES = 0.5
-"""Share of the objects, beyond which the frames may differ."""
+
+# Registration of captures. Tuned on simulated pairs of other seeds and pairs of real models (docs/many_scenes.md).
+LANDMARKS = 400
+"""Things of a capture that are paired, those of most regions. A limit on time and memory."""
+CANDIDATES = 5
+"""Two things may be a pair if each is among so many that look most like the other."""
+SAME_PLACE = (0.5, 0.1)
+"""They agree up to this share of a thing's size, and of the median distance of things from their middle."""
+TRIPLES, TRIED = 100_000, 4000
+"""Triples of pairs that are drawn, and transforms that are tried. Limits on time."""
+RIGID = 1.2
+"""Largest ratio of the scales that the three sides of a triple give."""
+BEST, FITS = 50, 4
+"""Transforms that are fitted again to all things that agree, and how often."""
+ICP_STEPS, ICP_TRIM = 30, 2.5
+"""Steps of ICP, and the multiple of the median distance from which a pair of Gaussians does not count."""
+LEAST_AGREEING, AGREEING_SHARE = 4, 0.15
+"""So many things and this share have to agree under a transform that was searched for; under another, one and this
+share. Where they were tuned, at most 14 of 127 agreed by chance, and at least 53 of 203 in one place."""
+SAME_RESIDUAL = 1.1
+"""Two captures share a frame if the identity has at most this multiple of the residual."""
 
 WITHOUT: dict[str, float] = {
     "HUB_SHARE": 0.0,
