@@ -69,7 +69,7 @@ class CompareCaptures:
             thing = change.new or change.old
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
-            text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
+            text = f"{thing.text and f'{thing.text}: '}thing {thing.number}, at {thing.describe()}"
             console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in comparison.changes)
         console.say(

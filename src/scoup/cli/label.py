@@ -116,7 +116,8 @@ def _report(
         answer = of_name[one["name"]]
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        summary = f"{counted(one['gaussians'], 'Gaussian')}{answer.numbered()}{seen}"
+        things = f"{answer.counted()}, " if answer.things else ""
+        summary = f"{things}{counted(one['gaussians'], 'Gaussian')}{seen}"
         console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:

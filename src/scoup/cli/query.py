@@ -198,8 +198,7 @@ class Query:
             if record["present"]:
                 console.say(_sentence(record))
         for place in places:
-            at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(metres_per_unit)}")
+            console.say(f"in the scene  {place.answer.text}: {place.describe(metres_per_unit)}")
         doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
         if doubtful and self.detector.refine is None:
             asked = command("query", self.field, *doubtful, "--refine", "owlv2")

@@ -185,7 +185,7 @@ class Select:
         elif selected != counts[whole.text]:
             console.say(f"{whole.text}, reshaped: {selected:,}")
         if place.position is not None:
-            console.say(f"at {place.describe(self.metres_per_unit)}")
+            console.say(place.describe(self.metres_per_unit))
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         if self.edit == "remove":
             console.say("nothing was photographed behind it: expect a hole or haze in its place")

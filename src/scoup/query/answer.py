@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RunnerUp(NamedTuple):
-    """The next best thing."""
+    """The best thing elsewhere, if it fits nearly as well (``constants.REACH``)."""
 
     thing: int
     """Its number."""
@@ -58,7 +58,7 @@ class Answer:
     scores: tuple[float | None, ...] = ()
     """The score of each of these things alone."""
     runner_up: RunnerUp | None = None
-    """The best thing elsewhere; None where none is."""
+    """The best thing elsewhere, if it fits nearly as well; None otherwise."""
     threshold: float | None = None
     """The Gaussians that answer are above it, on relevancy rescaled over the scene; None if things answer."""
 
@@ -81,24 +81,27 @@ class Answer:
         """The score in words: sure, likely, doubtful, not here."""
         return certainty(self.score, self.presence)
 
-    def numbered(self) -> str:
-        """Return the numbers of its things for a sentence, after a comma: ", things 3, 5"; "" without things."""
-        numbers = ", ".join(map(str, self.things))
-        return numbers and f", {'thing' if len(self.things) == 1 else 'things'} {numbers}"
+    def counted(self) -> str:
+        """Return how many things it is, with their numbers: "thing 3", "2 things (3, 5)"; "" without things."""
+        if len(self.things) < 2:
+            return "".join(f"thing {number}" for number in self.things)
+        return f"{len(self.things)} things ({', '.join(map(str, self.things))})"
 
     def remark(self) -> str:
-        """Return score and certainty in a few words."""
+        """Return score and certainty in a few words, and the runner-up."""
+        runner_up = f", or thing {self.runner_up.thing}" if self.presence and self.runner_up else ""
         if self.score is None:
-            return "presence not judged" if self.presence else "not in this scene"
+            return "presence not judged" + runner_up if self.presence else "not in this scene"
         where, least = str(self.certainty) if self.presence else "not in this scene", self.asked.present_from
         if not self.presence and least is not None and self.score >= least:
             where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
-        return f"{where} (score {self.score:.2f})"
+        return f"{where} (score {self.score:.2f}){runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as plain JSON values, rounded."""
         return {
             "gaussians": int(self.mask.sum()),
+            "count": len(self.things),
             "things": list(self.things),
             **self.verdict(),
             "runner_up": self.runner_up

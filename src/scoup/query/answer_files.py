@@ -37,7 +37,7 @@ LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
     "Heat: relevancy, the same colours in all cells. White line: the mask. Cross: the pixel that fits best. Blue: the "
-    "box around the mask without specks. Grey all over: absent, or not visible from here."
+    "box around the mask without specks. Yellow line: the runner-up. Grey all over: absent, or not visible from here."
 )
 
 
@@ -181,6 +181,7 @@ class _Cell:
     mask: np.ndarray
     box: tuple[float, float, float, float] | None
     point: tuple[float, float] | None
+    runner_up: np.ndarray | None
     remark: str
     coverage: float  # 0 if nothing is visible
     largest: float  # relevancy before resizing
@@ -243,7 +244,8 @@ class AnswerSheets:
             for column in columns:
                 cell = row.cells[column]
                 heat = cell.heat if cell.coverage else np.zeros_like(cell.heat)
-                tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
+                marks = span, cell.box, cell.point, cell.runner_up
+                tiles.append(answer_overlay(heat, cell.mask, row.picture, *marks))
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
         beside = min(self.views, VIEWS_BESIDE) if alone else len(columns)
@@ -258,8 +260,7 @@ class AnswerSheets:
             texts = f"texts {columns[0] + 1} to {columns[-1] + 1} of {len(self.texts)}"
         if n_shown == self.views:
             return f"{texts} in {counted(n_shown, 'view')}"
-        turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
-        return f"{texts} in {n_shown} of {counted(self.views, 'view')}: those that show most{turns}"
+        return f"{texts} in the {n_shown} of {counted(self.views, 'view')} where the masks are largest"
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
@@ -275,12 +276,16 @@ def _cell(answer: ViewAnswer, size: tuple[int, int]) -> _Cell:
     height, width = answer.mask.shape
     x, y = size[0] / width, size[1] / height
     relevancy, how = answer.heat.numpy(), Image.Resampling.BILINEAR
-    mask = np.asarray(Image.fromarray(answer.mask.numpy().astype(np.uint8) * 255).resize(size, how)) > 127
+
+    def resized(mask: Tensor) -> np.ndarray:
+        return np.asarray(Image.fromarray(mask.numpy().astype(np.uint8) * 255).resize(size, how)) > 127
+
     return _Cell(
         heat=np.asarray(Image.fromarray(relevancy).resize(size, how)),
-        mask=mask,
+        mask=resized(answer.mask),
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
+        runner_up=None if answer.runner_up is None else resized(answer.runner_up),
         remark=answer.remark(),
         coverage=answer.coverage,
         largest=float(relevancy.max()),

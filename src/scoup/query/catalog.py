@@ -28,7 +28,7 @@ class Catalog:
     """
 
     things: tuple[Thing, ...]
-    """Every thing with its best name as ``text`` and the score of this name, or "" and None; finer levels first."""
+    """Every thing with its best name as ``text``, or ""; finer levels first."""
     names: tuple[tuple[str, ...], ...]
     """Up to three names per thing, best first."""
     objects: tuple[int, ...]
@@ -70,7 +70,7 @@ def make_catalog(field: Field, question: Question[Any], frame: Frame | None = No
         )
     frame = scene_frame(field) if frame is None else frame
     names, named = thing_names(field, question), named_things(field, question)
-    texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
+    texts = tuple(names.get(thing.number or 0, ()) for thing in named)
     objects = tuple(thing.number or 0 for thing in find_objects(field, named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 
@@ -89,7 +89,7 @@ def related_objects(
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:
     """Return the things as rows of a table, the first with the names of the columns."""
     unit = 1.0 if metres_per_unit is None else metres_per_unit
-    head = ["thing", "name", "other names", "level", "parent", "score"]
+    head = ["thing", "name", "other names", "named by", "level", "parent"]
     rows: list[list[Any]] = [[*head, "x", "y", "z", "length", "width", "height", "gaussians", "regions"]]
     for thing, names in zip(catalog.things, catalog.names, strict=True):
         numbers: Sequence[float] = [
@@ -97,7 +97,6 @@ def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list
             *(thing.box.extent * unit).tolist(),
         ]
         parent = "" if thing.parent is None else thing.parent
-        score = "" if thing.score is None else round(thing.score, 4)
-        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, score]
+        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.named_by, thing.level, parent]
         rows.append([*facts, *rounded_vector(numbers, 6), thing.n_gaussians, thing.n_regions])
     return rows

@@ -53,10 +53,13 @@ class Place:
         return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
     def describe(self, metres_per_unit: float | None = None) -> str:
-        """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
+        """Return how many things it is, position and extent of the first, and the score, in a few words; in metres, too,
+        if the length of the unit is known."""
         if self.thing is None:
             return self.answer.remark()
-        return f"{self.thing.describe(metres_per_unit)}{self.answer.numbered()}, {self.answer.remark()}"
+        first = ", the first" if len(self.answer.things) > 1 else ""
+        place = f"at {self.thing.describe(metres_per_unit)}, {self.answer.remark()}"
+        return f"{self.answer.counted()}{first} {place}".lstrip()
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""

@@ -1,40 +1,42 @@
 """The names of the things of a scene, and the things that are one object each.
 
 Every thing has a word that fits it best, so this alone names walls "fire extinguisher". A thing and a word have to
-choose each other: the scene's answer to the word contains the thing, and hardly any everyday word is nearer to the
-thing. So whoever asks for a name finds its thing. A thing of another level with the same Gaussians has this name, too;
-everything else is unnamed.
+choose each other: the thing's nearest word is a name only if the scene's answer to it contains the thing. Of many words
+the nearest is wrong in most cases, but what several of the nearest have in common is often right: a broader word, such
+as "footwear" for a sandal. A thing of another level with the same Gaussians has this name, too; everything else is
+unnamed. How well a word fits says nothing about whether it is right, so names have no score.
 
-Things of several levels nest: a part in an object in a group. Of each such tree, those things are the objects whose
-names fit best, each weighed by its share of what it is a part of. Ours; measured in docs/things.md.
+Things of several levels nest: a part in an object in a group. Of each such tree, named things are objects, or those of
+its parts that are named if these fill most of it. Ours; measured in docs/things.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 from scoup.field import Field, ThingTable
 from scoup.query import constants
-from scoup.query.answer_scene import each_answer
-from scoup.query.named import less_common, voted_names
+from scoup.query.named import less_common, named_texts, voted_names
 from scoup.query.question import Question
 from scoup.query.thing_judge import ThingIndex, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
 
 
-class ThingName(NamedTuple):
-    """The name of a thing."""
+@cache
+def broader_words() -> dict[str, frozenset[str]]:
+    """Return broader words, each with the words below it (broader_words.txt)."""
+    text = Path(__file__).with_name("broader_words.txt").read_text(encoding="utf-8")
+    pairs = (line.split(": ") for line in text.splitlines() if not line.startswith("#"))
+    return {broader: frozenset(words.split(", ")) for broader, words in pairs}
 
-    texts: tuple[str, ...]
-    """Up to three, the best first."""
-    score: float | None
-    """Of the best, for this thing (``Answer.score``)."""
 
-
-def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
-    """Return the names of the things that have one, by their numbers; those that a model gave come first.
+def thing_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, ...]]:
+    """Return up to three names of each thing that has one, by its number, best first; those that a detector gave come
+    first.
 
     Args:
         field: with or without things.
@@ -43,32 +45,36 @@ def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     return field.kept((thing_names, question), lambda: _made_names(field, question))
 
 
-def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
+def _made_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, ...]]:
     known = thing_index(field, question)
     if known is None:
         return {}
-    queries, everyday = question.queries.float().cpu(), question.compared
-    near = less_common(known.cosines(queries))
-    words = less_common(known.cosines(everyday))
-    candidates: dict[int, list[tuple[float, int]]] = {}
-    for number, answer in enumerate(each_answer(field, question)):
-        for thing in answer.things:
-            fit = near[thing, number]
-            if int((words[thing] > fit + 1e-6).sum()) <= constants.NEARER_WORDS * len(everyday):
-                candidates.setdefault(thing, []).append((-float(fit), number))
-    best = {
-        thing: [number for _, number in sorted(numbers)[: constants.NAMES]]
-        for thing, numbers in candidates.items()
-    }
-    fits = known.fits(queries)
-    scores, names = known.text_scores(question, fits), {}
-    for thing, like in _alike(known, best).items():
-        texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
-        names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))
-    for thing, (texts, voted_score) in voted_names(field, question.texts).items():
-        others = names[thing].texts if thing in names else ()
-        names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[: constants.NAMES], voted_score)
+    texts = question.texts
+    near = less_common(known.cosines(question.queries))
+    nearest = near.topk(min(constants.NEAREST_WORDS, len(texts)), dim=1).indices.tolist()
+    named: dict[int, tuple[str, ...]] = {}
+    for number, (verdict,) in enumerate(known.judge(question, named_texts(field.thing_table, question))):
+        for thing in verdict.things if verdict.presence else ():
+            if nearest[thing][0] == number:
+                words = [texts[word] for word in nearest[thing]]
+                named[thing] = _broader(words) if len(texts) > constants.SHORT_LIST else (texts[number],)
+    named = {thing: names for thing, names in named.items() if names}
+    names = {thing: named[like] for thing, like in _alike(known, named).items()}
+    for thing, voted in voted_names(field, texts).items():
+        names[thing] = tuple(dict.fromkeys([*voted, *names.get(thing, ())]))[: constants.NAMES]
     return names
+
+
+def _broader(nearest: Sequence[str]) -> tuple[str, ...]:
+    """Return the narrowest broader word of half of the nearest words of a thing, and the nearest of these; () if these
+    have nothing in common."""
+    below = [(len(words), broader) for broader, words in broader_words().items()
+             if 2 * len(words.intersection(nearest)) >= constants.NEAREST_WORDS]  # fmt: skip
+    if not below:
+        return ()
+    broader = min(below)[1]
+    own = [word for word in nearest if word in broader_words()[broader]]
+    return tuple(dict.fromkeys([broader, *own]))[: constants.NAMES]
 
 
 def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
@@ -83,20 +89,28 @@ def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
 
 
 def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
-    """Return all things with their best names as ``text`` and the scores of these, or "" and None.
+    """Return all things with their best names as ``text``, or "".
 
     Catalogue, page, agents and comparisons name things by this.
 
     Args:
         field: with or without things.
-        words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
+        words: that may be names (``naming_question``); None: there is no encoder, and only a detector's names are
+            known.
     """
     things = all_things(field)
     if words is None:
         return list(things)
-    names, unnamed = thing_names(field, words), ThingName(("",), None)
-    best = [(thing, names.get(thing.number or 0, unnamed)) for thing in things]
-    return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
+    names = thing_names(field, words)
+    voted = voted_names(field, words.texts)
+    return [
+        replace(
+            thing,
+            text=names[number][0] if (number := thing.number or 0) in names else "",
+            named_by="detector" if number in voted else "embedding" if number in names else "",
+        )
+        for thing in things
+    ]
 
 
 def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
@@ -106,7 +120,7 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
 
     Args:
         field: of the things.
-        things: all, with their names as ``text`` and the scores of these.
+        things: all, with their names as ``text``.
     """
     table = field.thing_table
     if table is None:
@@ -142,7 +156,8 @@ def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]
 
 
 def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
-    """Return the things of each tree, of things and their parts, whose names fit best together."""
+    """Return the things of each tree, of things and their parts, that are objects: those with names, or else the whole
+    unless named parts fill most of it."""
     index_of = {thing.number: number for number, thing in enumerate(things)}
     parts: list[list[int]] = [[] for _ in things]
     roots = []
@@ -150,9 +165,9 @@ def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
         (parts[index_of[thing.parent]] if thing.parent in index_of else roots).append(number)
 
     def best(number: int) -> tuple[float, list[int]]:
-        """Return the score of a thing, or of the objects in it if their names fit better, and these."""
+        """Return how well names cover a thing, 0 to 1, and the objects that it is or contains."""
         thing = things[number]
-        alone = (1.0 if thing.score is None else thing.score) if thing.text else constants.UNNAMED
+        alone = 1.0 if thing.text else constants.UNNAMED
         below = [best(child) for child in parts[number]]
         sizes = [things[child].n_gaussians / thing.n_gaussians for child in parts[number]]
         together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))
