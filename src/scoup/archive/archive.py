@@ -93,6 +93,8 @@ class FoundThing:
     """What was said of the scan when it was added."""
     field_path: Path
     """File of the scan's field."""
+    runner_up: int | None = None
+    """Number of the best other thing of the scan, beside the first that answers there, if it fits nearly as well."""
 
     def field(self) -> LanguageField:
         """Load the field of the scan."""
@@ -102,7 +104,8 @@ class FoundThing:
         """Return scan, number, position and extent in words, for people."""
         position = ", ".join(f"{value:g}" for value in rounded_vector(self.position.tolist()))
         extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
-        return f"{self.scan}, thing {self.thing}, level {self.level}, at [{position}], extent {extent}"
+        runner_up = "" if self.runner_up is None else f", or thing {self.runner_up}"
+        return f"{self.scan}, thing {self.thing}, level {self.level}, at [{position}], extent {extent}{runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values, rounded."""
@@ -115,6 +118,7 @@ class FoundThing:
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.to_dict(),
             "gaussians": self.n_gaussians,
+            "runner_up": self.runner_up,
             "columns": dict(self.columns),
             "field": str(self.field_path),
         }
@@ -476,7 +480,7 @@ class Archive:
         return [
             FoundThing(
                 scan.name, one.thing, one.text, scan.levels[int(scan.arrays["levels"][one.thing])], one.score,
-                position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
+                position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path, one.runner_up,
             )
             for one, (position, box) in zip(answers, places, strict=True)
             for scan in [of_scene[one.scene]]

@@ -43,6 +43,7 @@ class Found(NamedTuple):
     text: str
     score: float | None
     rank: float  # among the things of all scans
+    runner_up: int | None = None  # of the first thing of a scan (``Answer.runner_up``)
 
 
 class UnaskedScanError(InputError):
@@ -125,7 +126,10 @@ class AskedScans:
             scores = self._asked.scores[text].each(fits, *zip(*keys, strict=True))
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for key, score, rank in zip(keys, scores, ranks, strict=True):
-                ranked[key] = Found(*key, text, score, rank)
+                verdict = self._asked.verdicts[text][key[0]]
+                is_first = self.search.expression.is_plain and verdict.things[:1] == key[1:]
+                rival = verdict.runner_up.thing if is_first and verdict.runner_up else None
+                ranked[key] = Found(*key, text, score, rank, rival)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
         return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]
 

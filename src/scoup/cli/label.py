@@ -79,7 +79,7 @@ class Label:
         frame = self.directions.frame(field)
         question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.
-        files = LabelFiles(words, outputs, cameras)
+        files = LabelFiles([*dict.fromkeys(map(field.encoder.word_of, words))], outputs, cameras)
         with staged(out, files.names, self.common.overwrite) as hidden, console.progress() as progress:
             answers = field.answer(question)
             labels = GaussianLabels.of(field, answers)
@@ -109,9 +109,9 @@ class Label:
 def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
-    from scoup.query import ExpressionAnswer
+    from scoup.query import ExpressionAnswer, class_name
 
-    record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
+    record, of_name = labels.to_dict(), {class_name(answer): answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""

@@ -102,7 +102,8 @@ class Query:
         question = self.opening.question(
             field, self.texts, frame=self.directions.frame(field), **self.answer.rules()
         )
-        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco, self.video)
+        classes = [field.encoder.word_of(text) for text in self.texts] if self.coco else []
+        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, classes, self.video)
         names = [RECORD, *files.names]
         with staged(out, names, self.common.overwrite) as hidden, console.progress() as progress:
             views = reported(cameras, "query", len(cameras), progress)

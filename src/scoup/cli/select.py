@@ -177,7 +177,8 @@ class Select:
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}
         for term in whole.parts:
-            share = f"{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
+            things = f"{term.counted()}, " if term.things else ""
+            share = f"{things}{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
             console.say(f"{term.text}: {share if term.presence else term.remark()}")
         selected = int(whole.mask.sum())
         if list(counts) != [whole.text]:

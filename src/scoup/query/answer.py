@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -93,9 +94,11 @@ class Answer:
         if self.score is None:
             return "presence not judged" + runner_up if self.presence else "not in this scene"
         where, least = str(self.certainty) if self.presence else "not in this scene", self.asked.present_from
+        # Not rounded up: a score below the bound reads as below it.
+        score = math.floor(100 * self.score + 1e-9) / 100
         if not self.presence and least is not None and self.score >= least:
             where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
-        return f"{where} (score {self.score:.2f}){runner_up}"
+        return f"{where} (score {score:.2f}){runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as plain JSON values, rounded."""
@@ -158,10 +161,8 @@ class ExpressionAnswer(Answer):
             counts = ", ".join(f"{one.text}: {len(one.things) or 1}" for one in self.parts if one.presence)
             matched = f"found {counts}, but none that is so{seen}" if counts else "nothing found"
             return "; ".join(absent) or matched
-        texts = {one.text for one in self.parts} if len(self.tree.wanted) == 1 else set[str]()
-        named = Counter(
-            thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
-        )
+        texts = {one.asked.word for one in self.parts} if len(self.tree.wanted) == 1 else set[str]()
+        named = Counter(thing.title for thing in self.found if thing.text not in texts)
         names = listed([name if count == 1 else f"{count} x {name}" for name, count in named.items()], 12)
         return f"{names}; " * bool(names) + super().remark() + seen
 

@@ -49,7 +49,7 @@ class AnswerFiles:
         cameras: of all views, in the order in which they are added.
         pictures: "sheet", "all" (each picture by itself, too) or "none".
         npz: write relevancy and masks of each view as arrays.
-        coco: write the masks of all views as COCO's JSON.
+        coco: names of categories, one per text, to write the masks of all views as COCO's JSON.
         video: of each text's heat map; "turntable": those of texts without a place are left out.
     """
 
@@ -59,7 +59,7 @@ class AnswerFiles:
         cameras: Sequence[Camera],
         pictures: Literal["sheet", "all", "masks", "none"] = "sheet",
         npz: bool = False,
-        coco: bool = False,
+        coco: Sequence[str] = (),
         video: Motion | Literal["none"] = "none",
     ) -> None:
         self._folders = dict(
@@ -72,16 +72,16 @@ class AnswerFiles:
             dict(zip(self._folders, mask_files(cameras), strict=True)) if pictures == "masks" else {}
         )
         self._sheets = None if pictures in ("masks", "none") else AnswerSheets(texts, len(cameras))
-        if coco and len(set(texts)) < len(texts):
+        if len(set(coco)) < len(coco):
             raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
-        self._coco = CocoAnnotations(tuple(texts)) if coco else None
+        self._coco = CocoAnnotations(tuple(coco)) if coco else None
         self._motion: Motion | Literal["none"] = video
         self._videos = [] if video == "none" else [f"{name}_{video}.mp4" for name in unique_slugs(texts)]
         singles = [name for of_text in self._singles for name in of_text.values()] + [NPZ] * npz
         # Of all files, within their folder.
         self.names = [
             *self.sheet_names,
-            *[COCO] * coco,
+            *[COCO] * bool(coco),
             *self._masks.values(),
             *(f"{folder}/{name}" for folder in self._folders.values() for name in singles),
             *self._videos,

@@ -91,7 +91,7 @@ def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float |
         in_words(thing.box.extent.tolist(), unit),
         ", ".join(f"thing {thing.number} of the {side} capture" for side, thing, _ in there),
     )
-    return Card(thing, change.confidence, facts, dict(sorted(pictures.items(), reverse=True)))
+    return Card(thing, facts, dict(sorted(pictures.items(), reverse=True)))
 
 
 def _pictures(

@@ -183,7 +183,7 @@ def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
         return _connected_things(field, answer)
     scores = dict(zip(answer.things, answer.scores, strict=True))
     return [
-        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        replace(thing, text=answer.asked.word, score=scores[thing.number or 0])
         for thing in Thing.of_table(field, answer.things)
     ]
 
@@ -203,7 +203,8 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
         return thing
     (score,) = known.text_scores(one, every, named_texts(table, one))
     best_parts = [
-        replace(part, text=text, score=score(fits[best], best)) for part in Thing.of_table(field, [best])
+        replace(part, text=thing.text, score=score(fits[best], best))
+        for part in Thing.of_table(field, [best])
     ]
     return best_parts[0] if best_parts else thing
 
@@ -238,7 +239,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
     ] or heaviest[:1]  # the heaviest if all are small
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
-        replace(thing, text=answer.text)
+        replace(thing, text=answer.asked.word)
         for thing in _parts(field, members, answer.level)
         if thing is not None
     ]

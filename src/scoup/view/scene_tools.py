@@ -126,9 +126,9 @@ class SceneTools:
         from the camera `seen_from`. A score is the share of everyday words that fit this scene less well than the text,
         0 to 1; null with too few everyday words.
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
-        how many things it is, and the runner-up, the best thing elsewhere if it fits nearly as well. `things` is empty where a text is not here, or where no thing has
-        the relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
-        viewer in the same axes, and the unit of length.
+        how many things it is, and the runner-up: the best thing elsewhere, if it fits nearly as well. `things` is empty
+        where a text is not here, or where no thing has the relation; `remark` says which. `frame` says what positions
+        are in: unit vectors right, up and away from the viewer in the same axes, and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
