@@ -21,7 +21,8 @@ from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.catalog_writing import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
-from scoup.query.thing_names import best_of_trees, find_objects, thing_names
+from scoup.query.thing_names import _broader as broader
+from scoup.query.thing_names import best_of_trees, broader_words, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene import Camera, Gaussians
 from support import altered, examples, gaussians_at
@@ -168,24 +169,44 @@ def test_a_word_names_only_what_it_finds() -> None:
     field = planted_room()
     names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
     wanted = {number: box.name for number, box in enumerate(ROOM) if box.name in ("mug", "laptop")}
-    assert {number: name.texts[0] for number, name in names.items()} == wanted
+    assert {number: texts[0] for number, texts in names.items()} == wanted
     assert thing_names(field, field.question([ABSENT])) == {}
 
 
-def thing(number: int, parent: int | None, score: float | None, size: int, regions: int = 9) -> Thing:
+def test_of_many_words_a_broader_one_names_a_thing(monkeypatch) -> None:
+    monkeypatch.setattr(constants, "SHORT_LIST", 0)
+    monkeypatch.setattr(constants, "NEAREST_WORDS", 4)
+    field = planted_room()
+    monkeypatch.setattr("scoup.query.thing_names.broader_words", lambda: {
+        "vessel": frozenset(["cup", "mug", "vase"]), "crockery": frozenset(["cup", "mug"]),
+    })  # fmt: skip
+    assert broader(["vase", "mug", "cup", "sock"]) == ("crockery", "mug", "cup")  # the narrower of two
+    assert broader(["vase", "sock", "mug", "shoe"]) == ("vessel", "vase", "mug")
+    assert broader(["vase", "sock", "boot", "shoe"]) == ()
+    assert broader(["vessel", "mug", "vase", "shoe"]) == ("vessel", "mug", "vase")
+    assert thing_names(field, field.question(["mug", "laptop", ABSENT])) == {}  # nothing in common
+
+
+def test_broader_words() -> None:
+    words = broader_words()
+    assert {"boot", "sandal"} <= words["footwear"]
+    assert min(map(len, words.values())) >= 3
+    assert list(words) == sorted(words)
+
+
+def thing(number: int, parent: int | None, is_named: bool, size: int, regions: int = 9) -> Thing:
     box = OrientedBox(torch.zeros(3).double(), torch.eye(3).double(), torch.ones(3).double())
-    name = "" if score is None else "mug"
-    return Thing(number, "m", parent, name, score, torch.zeros(3).double(), box, torch.arange(size), regions)
+    name = "mug" if is_named else ""
+    return Thing(number, "m", parent, name, None, torch.zeros(3).double(), box, torch.arange(size), regions)
 
 
 @pytest.mark.parametrize(("tree", "objects"), [
-    ([(0, None, 0.9, 100), (1, 0, 0.8, 60), (2, 0, 0.8, 40)], [0]),  # an object better named than its parts
-    ([(0, None, 0.7, 100), (1, 0, 0.9, 50), (2, 0, 0.9, 50)], [1, 2]),  # a group of better named objects
-    ([(0, None, 0.7, 100), (1, 0, 0.9, 30)], [0]),  # what has a name is a small part
-    ([(0, None, None, 100), (1, 0, 0.9, 90)], [1]),
-    ([(0, None, None, 100), (1, 0, constants.UNNAMED + 0.1, 50)], [0]),
-    ([(0, None, None, 100), (1, 0, None, 100)], [0]),
-    ([(0, 7, 0.5, 100)], [0]),  # its parent is not listed
+    ([(0, None, True, 100), (1, 0, True, 60), (2, 0, True, 40)], [0]),
+    ([(0, None, False, 100), (1, 0, True, 50), (2, 0, True, 50)], [1, 2]),  # a group of named objects
+    ([(0, None, False, 100), (1, 0, True, 30)], [0]),  # what has a name is a small part
+    ([(0, None, False, 100), (1, 0, True, 90)], [1]),
+    ([(0, None, False, 100), (1, 0, False, 100)], [0]),
+    ([(0, 7, True, 100)], [0]),  # its parent is not listed
 ])  # fmt: skip
 def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], objects: list[int]) -> None:
     assert [each.number for each in best_of_trees([thing(*each) for each in tree])] == objects

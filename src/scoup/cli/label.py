@@ -109,9 +109,9 @@ class Label:
 def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
-    from scoup.query import ExpressionAnswer, class_name
+    from scoup.query import ExpressionAnswer
 
-    record, of_name = labels.to_dict(), {class_name(answer): answer for answer in answers}
+    record, of_name = labels.to_dict(), {answer.word: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""

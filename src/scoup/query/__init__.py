@@ -18,7 +18,7 @@ from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
 from scoup.query.label_writing import LabelFiles
-from scoup.query.labels import GaussianLabels, class_name
+from scoup.query.labels import GaussianLabels
 from scoup.query.language_field import LanguageField, build
 from scoup.query.place import Place
 from scoup.query.presence import Certainty
@@ -56,7 +56,6 @@ __all__ = [
     "answers_of",
     "asked_things",
     "build",
-    "class_name",
     "compare",
     "compare_captures",
     "draw_things",

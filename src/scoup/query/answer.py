@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +12,7 @@ from torch import Tensor
 from scoup.base import card, listed
 from scoup.field import Field
 from scoup.query.expression import Expression
-from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
+from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty, said_score
 from scoup.query.question import AskedText
 
 if TYPE_CHECKING:
@@ -78,6 +77,11 @@ class Answer:
         return (self.asked,)
 
     @property
+    def word(self) -> str:
+        """What answers is called: "mug" where "mugs" was asked; the whole of a phrase or expression."""
+        return self.asked.word
+
+    @property
     def certainty(self) -> Certainty | None:
         """The score in words: sure, likely, doubtful, not here."""
         return certainty(self.score, self.presence)
@@ -94,11 +98,9 @@ class Answer:
         if self.score is None:
             return "presence not judged" + runner_up if self.presence else "not in this scene"
         where, least = str(self.certainty) if self.presence else "not in this scene", self.asked.present_from
-        # Not rounded up: a score below the bound reads as below it.
-        score = math.floor(100 * self.score + 1e-9) / 100
         if not self.presence and least is not None and self.score >= least:
             where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
-        return f"{where} (score {score:.2f}){runner_up}"
+        return f"{where} (score {said_score(self.score, least)}){runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as plain JSON values, rounded."""
@@ -144,6 +146,10 @@ class ExpressionAnswer(Answer):
     """Numbers of things whose Gaussians are taken out of those of ``things``."""
     seen_from: str = ""
     """Name of the camera from which left, right, front and back are meant; "" where nothing depends on it."""
+
+    @property
+    def word(self) -> str:
+        return self.asked.word if isinstance(self.tree.root, str) else self.text
 
     @property
     def heats(self) -> tuple[AskedText, ...]:

@@ -13,7 +13,7 @@ from scoup import raster
 from scoup.base import InputError, UnknownNameError, card
 from scoup.field import NO_THING, Field
 from scoup.pictures import Picture, contact_sheet, label_colors, swatch_legend
-from scoup.query.answer import Answer, ExpressionAnswer
+from scoup.query.answer import Answer
 from scoup.query.field_view import FieldView
 
 NONE = -1
@@ -23,11 +23,6 @@ AT_A_TIME = 16  # words rendered together
 LEAST_ALPHA = 0.5  # of a pixel with a label
 COLUMNS, SHEET_WIDTH = 3, 1500
 MOST_VIEWS = 6  # on a sheet
-
-
-def class_name(answer: Answer) -> str:
-    """Return the name of the class of an answer: its word ("mug" for "mugs"), or the whole phrase."""
-    return answer.text if isinstance(answer, ExpressionAnswer) else answer.asked.word
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +63,7 @@ class GaussianLabels:
         """
         of_name: dict[str, Answer] = {}
         for answer in answers:
-            of_name.setdefault(class_name(answer), answer)
+            of_name.setdefault(answer.word, answer)
         names, answers = tuple(of_name), [*of_name.values()]
         if NONE_NAME in names:
             raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")

@@ -53,8 +53,8 @@ class Place:
         return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
     def describe(self, metres_per_unit: float | None = None) -> str:
-        """Return how many things it is, place of the first, and the score, in a few words; in metres, too, if the length of
-        the unit is known."""
+        """Return how many things it is, the place of the first, and the score, in a few words; in metres, too, if the
+        length of the unit is known."""
         if self.thing is None:
             return self.answer.remark()
         first = ", the first" if len(self.answer.things) > 1 else ""

@@ -183,7 +183,7 @@ def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
         return _connected_things(field, answer)
     scores = dict(zip(answer.things, answer.scores, strict=True))
     return [
-        replace(thing, text=answer.asked.word, score=scores[thing.number or 0])
+        replace(thing, text=answer.word, score=scores[thing.number or 0])
         for thing in Thing.of_table(field, answer.things)
     ]
 
@@ -239,7 +239,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
     ] or heaviest[:1]  # the heaviest if all are small
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
-        replace(thing, text=answer.asked.word)
+        replace(thing, text=answer.word)
         for thing in _parts(field, members, answer.level)
         if thing is not None
     ]
