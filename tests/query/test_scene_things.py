@@ -175,7 +175,7 @@ def test_a_word_names_only_what_it_finds() -> None:
 
 def test_of_many_words_a_broader_one_names_a_thing(monkeypatch) -> None:
     monkeypatch.setattr(constants, "SHORT_LIST", 0)
-    monkeypatch.setattr(constants, "NEAREST_WORDS", 4)
+    monkeypatch.setattr(constants, "IN_COMMON", 2)
     field = planted_room()
     monkeypatch.setattr("scoup.query.thing_names.broader_words", lambda: {
         "vessel": frozenset(["cup", "mug", "vase"]), "crockery": frozenset(["cup", "mug"]),

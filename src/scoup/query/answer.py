@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RunnerUp(NamedTuple):
-    """The best thing elsewhere, if it fits nearly as well (``constants.REACH``)."""
+    """The best thing elsewhere, if it fits nearly as well (``constants.RUNNER_UP``)."""
 
     thing: int
     """Its number."""

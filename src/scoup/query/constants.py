@@ -74,8 +74,8 @@ of them (cross-domain similarity local scaling, Conneau et al. 2018)."""
 SHORT_LIST = 200
 """Words of a list up to which the nearest itself is the name: 84 and 76 % of the names are right on settings tuned on
 and held out. Of the 1,588 words of desk's table, 27 and 23 % would be."""
-NEAREST_WORDS = 8
-"""Nearest words of a thing, half of which have to be below the broader word that names it: 83 and 72 % right."""
+NEAREST_WORDS, IN_COMMON = 8, 5
+"""Nearest words of a thing, and how many of them have to be below the broader word that names it: 80 and 86 % right."""
 UNNAMED = 0.6
 """Share of a thing that named parts have to fill to be objects in its place."""
 LEAST_REGIONS = 5
@@ -84,7 +84,7 @@ STABLE = 0.6
 """Stability; unnamed things that are less stable and that no other level found are fragments."""
 
 # Runner-ups (docs/answers.md).
-REACH = 1.25
+RUNNER_UP = 1.25
 """Spreads by which the best thing elsewhere may fit worse than the answer, to be named beside it. Chosen on table and
 shelves."""
 

@@ -253,7 +253,7 @@ class ThingIndex:
             (scene, choice.runner_up)
             for scene, choice in made
             if choice.runner_up is not None
-            and float(fits[self.starts[scene] + choice.runner_up]) >= choice.fit - constants.REACH
+            and float(fits[self.starts[scene] + choice.runner_up]) >= choice.fit - constants.RUNNER_UP
         ]
         rows = [self.starts[scene] + rival for scene, rival in rivals]
         of_rivals = score.each(fits[rows].tolist(), *zip(*rivals, strict=True)) if rivals else []

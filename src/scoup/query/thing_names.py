@@ -66,10 +66,10 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, .
 
 
 def _broader(nearest: Sequence[str]) -> tuple[str, ...]:
-    """Return the narrowest broader word of half of the nearest words of a thing, and the nearest of these; () if these
-    have nothing in common."""
+    """Return the narrowest broader word of most of the nearest words of a thing, and the nearest of these; () without
+    one."""
     below = [(len(words), broader) for broader, words in broader_words().items()
-             if 2 * len(words.intersection(nearest)) >= constants.NEAREST_WORDS]  # fmt: skip
+             if len(words.intersection(nearest)) >= constants.IN_COMMON]  # fmt: skip
     if not below:
         return ()
     broader = min(below)[1]
