@@ -169,7 +169,7 @@ def test_a_word_names_only_what_it_finds() -> None:
     field = planted_room()
     names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
     wanted = {number: box.name for number, box in enumerate(ROOM) if box.name in ("mug", "laptop")}
-    assert {number: texts[0] for number, texts in names.items()} == wanted
+    assert {number: name.texts[0] for number, name in names.items()} == wanted
     assert thing_names(field, field.question([ABSENT])) == {}
 
 
@@ -184,7 +184,8 @@ def test_of_many_words_a_broader_one_names_a_thing(monkeypatch) -> None:
     assert broader(["vase", "sock", "mug", "shoe"]) == ("vessel", "vase", "mug")
     assert broader(["vase", "sock", "boot", "shoe"]) == ()
     assert broader(["vessel", "mug", "vase", "shoe"]) == ("vessel", "mug", "vase")
-    assert thing_names(field, field.question(["mug", "laptop", ABSENT])) == {}  # nothing in common
+    names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
+    assert {name.texts for name in names.values()} == {()}  # nothing in common
 
 
 def test_broader_words() -> None:
@@ -194,19 +195,20 @@ def test_broader_words() -> None:
     assert list(words) == sorted(words)
 
 
-def thing(number: int, parent: int | None, is_named: bool, size: int, regions: int = 9) -> Thing:
+def thing(number: int, parent: int | None, score: float | None, size: int, regions: int = 9) -> Thing:
     box = OrientedBox(torch.zeros(3).double(), torch.eye(3).double(), torch.ones(3).double())
-    name = "mug" if is_named else ""
-    return Thing(number, "m", parent, name, None, torch.zeros(3).double(), box, torch.arange(size), regions)
+    position, gaussians = torch.zeros(3).double(), torch.arange(size)
+    return Thing(number, "m", parent, "", None, position, box, gaussians, regions, word_score=score)
 
 
 @pytest.mark.parametrize(("tree", "objects"), [
-    ([(0, None, True, 100), (1, 0, True, 60), (2, 0, True, 40)], [0]),
-    ([(0, None, False, 100), (1, 0, True, 50), (2, 0, True, 50)], [1, 2]),  # a group of named objects
-    ([(0, None, False, 100), (1, 0, True, 30)], [0]),  # what has a name is a small part
-    ([(0, None, False, 100), (1, 0, True, 90)], [1]),
-    ([(0, None, False, 100), (1, 0, False, 100)], [0]),
-    ([(0, 7, True, 100)], [0]),  # its parent is not listed
+    ([(0, None, 0.9, 100), (1, 0, 0.8, 60), (2, 0, 0.8, 40)], [0]),  # an object better named than its parts
+    ([(0, None, 0.7, 100), (1, 0, 0.9, 50), (2, 0, 0.9, 50)], [1, 2]),  # a group of better named objects
+    ([(0, None, 0.7, 100), (1, 0, 0.9, 30)], [0]),  # what has a name is a small part
+    ([(0, None, None, 100), (1, 0, 0.9, 90)], [1]),
+    ([(0, None, None, 100), (1, 0, constants.UNNAMED + 0.1, 50)], [0]),
+    ([(0, None, None, 100), (1, 0, None, 100)], [0]),
+    ([(0, 7, 0.5, 100)], [0]),  # its parent is not listed
 ])  # fmt: skip
 def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], objects: list[int]) -> None:
     assert [each.number for each in best_of_trees([thing(*each) for each in tree])] == objects

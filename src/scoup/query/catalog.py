@@ -70,7 +70,7 @@ def make_catalog(field: Field, question: Question[Any], frame: Frame | None = No
         )
     frame = scene_frame(field) if frame is None else frame
     names, named = thing_names(field, question), named_things(field, question)
-    texts = tuple(names.get(thing.number or 0, ()) for thing in named)
+    texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
     objects = tuple(thing.number or 0 for thing in find_objects(field, named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 

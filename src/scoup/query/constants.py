@@ -77,7 +77,7 @@ and held out. Of the 1,588 words of desk's table, 27 and 23 % would be."""
 NEAREST_WORDS, IN_COMMON = 8, 5
 """Nearest words of a thing, and how many of them have to be below the broader word that names it: 80 and 86 % right."""
 UNNAMED = 0.6
-"""Share of a thing that named parts have to fill to be objects in its place."""
+"""How well no word fits a thing, beside the scores of nearest words."""
 LEAST_REGIONS = 5
 """Regions; unnamed things of fewer are fragments, not objects."""
 STABLE = 0.6

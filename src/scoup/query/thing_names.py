@@ -6,8 +6,9 @@ the nearest is wrong in most cases, but what several of the nearest have in comm
 as "footwear" for a sandal. A thing of another level with the same Gaussians has this name, too; everything else is
 unnamed. How well a word fits says nothing about whether it is right, so names have no score.
 
-Things of several levels nest: a part in an object in a group. Of each such tree, named things are objects, or those of
-its parts that are named if these fill most of it. Ours; measured in docs/things.md.
+Things of several levels nest: a part in an object in a group. Of each such tree, those things are the objects whose
+nearest words fit best, named or not, each weighed by its share of what it is a part of. Ours; measured in
+docs/things.md.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from scoup.field import Field, ThingTable
 from scoup.query import constants
@@ -24,6 +25,15 @@ from scoup.query.named import less_common, named_texts, voted_names
 from scoup.query.question import Question
 from scoup.query.thing_judge import ThingIndex, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
+
+
+class ThingName(NamedTuple):
+    """The name of a thing."""
+
+    texts: tuple[str, ...]
+    """Up to three, the best first; none if only its nearest word is known."""
+    word_score: float | None
+    """As of ``Thing``."""
 
 
 @cache
@@ -34,9 +44,9 @@ def broader_words() -> dict[str, frozenset[str]]:
     return {broader: frozenset(words.split(", ")) for broader, words in pairs}
 
 
-def thing_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, ...]]:
-    """Return up to three names of each thing that has one, by its number, best first; those that a detector gave come
-    first.
+def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
+    """Return the names of the things that have one, or whose nearest word's answer contains them, by their numbers;
+    those that a detector gave come first.
 
     Args:
         field: with or without things.
@@ -45,23 +55,25 @@ def thing_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, .
     return field.kept((thing_names, question), lambda: _made_names(field, question))
 
 
-def _made_names(field: Field, question: Question[Any]) -> dict[int, tuple[str, ...]]:
+def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     known = thing_index(field, question)
     if known is None:
         return {}
     texts = question.texts
     near = less_common(known.cosines(question.queries))
     nearest = near.topk(min(constants.NEAREST_WORDS, len(texts)), dim=1).indices.tolist()
-    named: dict[int, tuple[str, ...]] = {}
+    named: dict[int, ThingName] = {}
     for number, (verdict,) in enumerate(known.judge(question, named_texts(field.thing_table, question))):
-        for thing in verdict.things if verdict.presence else ():
+        for thing, score in zip(verdict.things, verdict.scores, strict=True) if verdict.presence else ():
             if nearest[thing][0] == number:
                 words = [texts[word] for word in nearest[thing]]
-                named[thing] = _broader(words) if len(texts) > constants.SHORT_LIST else (texts[number],)
-    named = {thing: names for thing, names in named.items() if names}
+                named[thing] = ThingName(
+                    _broader(words) if len(texts) > constants.SHORT_LIST else (texts[number],), score
+                )
     names = {thing: named[like] for thing, like in _alike(known, named).items()}
     for thing, voted in voted_names(field, texts).items():
-        names[thing] = tuple(dict.fromkeys([*voted, *names.get(thing, ())]))[: constants.NAMES]
+        others, score = names.get(thing, ThingName((), None))
+        names[thing] = ThingName(tuple(dict.fromkeys([*voted, *others]))[: constants.NAMES], score)
     return names
 
 
@@ -101,16 +113,13 @@ def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
     things = all_things(field)
     if words is None:
         return list(things)
-    names = thing_names(field, words)
-    voted = voted_names(field, words.texts)
-    return [
-        replace(
-            thing,
-            text=names[number][0] if (number := thing.number or 0) in names else "",
-            named_by="detector" if number in voted else "embedding" if number in names else "",
-        )
-        for thing in things
-    ]
+    names, unnamed, voted = thing_names(field, words), ThingName((), None), voted_names(field, words.texts)
+    named = []
+    for thing in things:
+        texts, score = names.get(thing.number or 0, unnamed)
+        by = "detector" if thing.number in voted else "embedding" if texts else ""
+        named.append(replace(thing, text=texts[0] if texts else "", named_by=by, word_score=score))
+    return named
 
 
 def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
@@ -128,8 +137,10 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
     wholes, steady = field.kept(find_objects, lambda: _nesting(table))
 
     def is_object(thing: Thing) -> bool:
-        return bool(thing.text) or (
-            (thing.n_regions or 0) >= constants.LEAST_REGIONS and thing.number in steady
+        return (
+            bool(thing.text)
+            or thing.word_score is not None
+            or ((thing.n_regions or 0) >= constants.LEAST_REGIONS and thing.number in steady)
         )
 
     nested = [
@@ -156,8 +167,7 @@ def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]
 
 
 def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
-    """Return the things of each tree, of things and their parts, that are objects: those with names, or else the whole
-    unless named parts fill most of it."""
+    """Return the things of each tree, of things and their parts, whose nearest words fit best together."""
     index_of = {thing.number: number for number, thing in enumerate(things)}
     parts: list[list[int]] = [[] for _ in things]
     roots = []
@@ -165,9 +175,10 @@ def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
         (parts[index_of[thing.parent]] if thing.parent in index_of else roots).append(number)
 
     def best(number: int) -> tuple[float, list[int]]:
-        """Return how well names cover a thing, 0 to 1, and the objects that it is or contains."""
+        """Return the score of a thing, or of the objects in it if their words fit better, and these."""
         thing = things[number]
-        alone = 1.0 if thing.text else constants.UNNAMED
+        certain = 1.0 if thing.text else constants.UNNAMED
+        alone = certain if thing.word_score is None else thing.word_score
         below = [best(child) for child in parts[number]]
         sizes = [things[child].n_gaussians / thing.n_gaussians for child in parts[number]]
         together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))

@@ -65,6 +65,9 @@ class Thing:
     """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
     named_by: Literal["detector", "embedding", ""] = ""
     """Where ``text`` comes from if it is a name; "" if it is what was asked, or empty."""
+    word_score: float | None = None
+    """Score of its nearest word, if the answer to it contains the thing, also if that word is no name: objects have
+    larger ones than parts and groups."""
 
     @classmethod
     def of_table(cls, field: Field, numbers: Sequence[int]) -> list[Thing]:
