@@ -129,7 +129,8 @@ class AskedScans:
                 verdict = self._asked.verdicts[text][key[0]]
                 is_first = self.search.expression.is_plain and verdict.things[:1] == key[1:]
                 rival = verdict.runner_up.thing if is_first and verdict.runner_up else None
-                ranked[key] = Found(*key, text, score, rank, rival)
+                word = self.search.question.words[self.search.question.texts.index(text)]
+                ranked[key] = Found(*key, word, score, rank, rival)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
         return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]
 
@@ -165,7 +166,8 @@ class AskedScans:
             missing = "field" if error.path == scan.field_path else "splat"
             problem = f"the {missing} of scan {scan.name} is gone: {error.path}"
             raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
-        return [(scene, thing.number, thing.text) for thing in things if thing.number is not None]
+        texts = dict(zip(search.question.words, search.question.texts, strict=True))
+        return [(scene, thing.number, texts[thing.text]) for thing in things if thing.number is not None]
 
 
 def look_alikes(index: ThingIndex, vector: Tensor, name: str, placed: Sequence[Tensor]) -> Iterator[Found]:

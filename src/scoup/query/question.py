@@ -140,7 +140,8 @@ class Question(TextVectors, Generic[Asked]):
         """Make a question of texts for several fields; messages about everyday words name their ``source``."""
         vectors = encode_texts(encoder, texts)
         least = presence_threshold(len(vectors.everyday), source, present_from)
-        return cls.from_vectors(vectors.with_everyday(), present_from=least)
+        words = tuple(map(encoder.word_of, texts))
+        return cls.from_vectors(vectors.with_everyday(), present_from=least, words=words)
 
     def shaped(self, results: list[Found]) -> Found | list[Found]:
         """Return the results of all texts, or the only one if the question was one text."""
