@@ -149,7 +149,6 @@ async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: An
         return str(place), kind == "where is" and _is_in(scene, asked, place)
     graph = (await call("describe_scene", thing=first["thing"]))["things"]
     named = [each for each in graph if each["text"] and first["thing"] in each.get("on", ())]
-    named.sort(key=lambda each: ["sure", "likely", "doubtful"].index(each["certainty"]))
     three = list(dict.fromkeys(each["text"] for each in named))[:3]
     on_it = _labels(scene).difference(truth.split(","))
     return ", ".join(three) or "nothing", len(three) == 3 and on_it.issuperset(three)

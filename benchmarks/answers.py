@@ -15,7 +15,7 @@ import torch
 from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.drawn import answers_of, mask_ious, object_ious
+from benchmarks.drawn import DrawnAnswer, answers_of, mask_ious, object_ious
 from benchmarks.left_out import SETTINGS, TABLES, WITHOUT, left_out, table_of_constant
 from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
 from benchmarks.study import Record, Study
@@ -34,6 +34,8 @@ from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES
 
 RULES = ("peak", "always", "scene", "asked", "localisation")
+RIGHT_FROM = 0.5
+"""Mean IoU over the views of a word from which an answer is right."""
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
     ("default", "dense"),
@@ -130,6 +132,7 @@ class Answers(Study):
         return {
             **means,
             "presence": by_seed[0]["presence"],
+            "right": by_seed[0]["right"],
             "seeds": by_seeds,
             "bytes_per_gaussian": size,
             "seconds": seconds,
@@ -172,6 +175,9 @@ class Answers(Study):
                 if {first, second} <= set(self.ways)
             },
             "presence": presence_of_groups(scores, groups, self.ways),
+            "right": {
+                way: {name: scores[name][way].get("right") for name in self.scenes} for way in self.ways
+            },
             **({} if self.without else {"pairs": pairs, "scores": scores_of(scores, self.ways)}),
         }
 
@@ -211,7 +217,31 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
         "present": [answers[label].score for label in labels],
         "absent": [answer.score for answer in of_absent.values()],
     }
-    return {**scores, "presence": presence}
+    return {**scores, "presence": presence, "right": right_answers(scene, answers)}
+
+
+def right_answers(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> dict[str, int]:
+    """Return of how many labels the answer is right, of how many it or the runner-up is, and of how many a runner-up is
+    named beside a right and a wrong answer."""
+
+    def right(every: Mapping[str, DrawnAnswer]) -> set[str]:
+        of_label: dict[str, list[float]] = {}
+        for found, (_, label) in zip(mask_ious(scene, every), scene.pairs, strict=True):
+            of_label.setdefault(label, []).append(found)
+        return {label for label, found in of_label.items() if mean(found) >= RIGHT_FROM}
+
+    labels = {label for _, label in scene.pairs}
+    named = {label for label in labels if answers[label].runner_up is not None}
+    first = right(answers)
+    both = first | right({label: answer.runner_up or answer for label, answer in answers.items()})
+    counts = {
+        "labels": labels,
+        "first": first,
+        "either": both,
+        "beside right": named & first,
+        "beside wrong": named - first,
+    }
+    return {name: len(some) for name, some in counts.items()}
 
 
 def table_of(record: Record, key: str) -> str:
@@ -293,7 +323,19 @@ class Real(Answers):
                 body.append(
                     [f"{title}, {kind}", *_best([mean(of[way][n][rule] for n in names) for way in ways])]
                 )
-        return "\n\n".join([markdown(["scene, mIoU", *ways], body), presence_table(record["presence"])])
+        right = [[way, name, *map(str, counts.values())] for way, scenes in record.get("right", {}).items()
+                 for name, counts in scenes.items() if counts]  # fmt: skip
+        head = [
+            "way",
+            "words of",
+            "number",
+            "right",
+            "or the runner-up",
+            "named beside right",
+            "beside wrong",
+        ]
+        tables = [markdown(["scene, mIoU", *ways], body), presence_table(record["presence"])]
+        return "\n\n".join([*tables, *([markdown(head, right)] if right else [])])
 
 
 def _best(values: Sequence[float]) -> list[str]:

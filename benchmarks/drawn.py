@@ -24,6 +24,7 @@ class DrawnAnswer:
     mask: Tensor  # [N] boolean
     counting: Tensor  # [N] boolean, those whose contributions it must exceed half of
     score: float | None = None  # None of ways that are no field
+    runner_up: DrawnAnswer | None = None  # that is named beside it
 
 
 def question_of(scene: AnswerScene, texts: Sequence[str], everyday: Tensor) -> Question:
@@ -43,9 +44,15 @@ def answers_of(
     if isinstance(fitted, FittedField):
         field = fitted.field
         field.attach(scene.gaussians, known=True)
-        found = {}
+        found, table = {}, field.thing_table
         for answer in list(each_answer(field, question)):
-            found[answer.text] = DrawnAnswer(answer.mask, counting_gaussians(field, answer), answer.score)
+            rival = answer.runner_up
+            other = None
+            if rival is not None and table is not None:
+                owned = table.owned[int(table.levels[rival.thing])].cpu()
+                other = DrawnAnswer(table.members(torch.tensor([rival.thing])).cpu(), owned)
+            counting = counting_gaussians(field, answer)
+            found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, other)
         return found
     coded, found = fitted.coded(), {}
     for text, query in zip(texts, question.queries, strict=True):

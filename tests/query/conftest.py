@@ -21,7 +21,7 @@ def random_vectors(*shape: int, seed: int = 0) -> Tensor:
     return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
 
 
-ASKED = AskedText(random_vectors(1, 16), random_vectors(4, 16, seed=1), level=0, present_from=None)
+ASKED = AskedText("kettle", random_vectors(1, 16), random_vectors(4, 16, seed=1), level=0, present_from=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,8 +53,8 @@ def test_records_contain_no_infinity() -> None:
     mask = torch.arange(40) < 12
     answer = Answer("mug", mask, "s", 0.61234567, ASKED, True, (3, 1), (0.6, 0.5), RunnerUp(2, None))
     record = answer.to_dict()
-    assert " ".join(record) == "gaussians things level score certainty present runner_up"
-    assert [*record.values()] == [12, [3, 1], "s", 0.6123, "likely", True, {"thing": 2, "score": None}]
+    assert " ".join(record) == "gaussians count things level score certainty present runner_up"
+    assert [*record.values()] == [12, 2, [3, 1], "s", 0.6123, "likely", True, {"thing": 2, "score": None}]
     nothing = torch.zeros(2, 3, dtype=torch.bool)
     shown = ViewAnswer(replace(answer, score=None), "a.png", nothing, nothing.float(), nothing, None, None)
     record = shown.to_dict()

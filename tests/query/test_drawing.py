@@ -154,13 +154,13 @@ def test_of_many_views_those_that_show_most_are_drawn(monkeypatch) -> None:
         order = np.argsort(-widths[:, turn % 2], kind="stable")
         chosen.append(next(int(view) for view in order if view not in chosen))
     texts = drawn_texts(sheets_of(["mug", "teapot"], *views), monkeypatch)
-    heading = "2 texts in 12 of 30 views: those that show most, the texts choosing in turn"
+    heading = "2 texts in the 12 of 30 views where the masks are largest"
     assert heading in " ".join(texts)
     shown = [text.split(":")[0] for text in texts if text.startswith("view ")]
     assert shown[::2] == [f"view {number}" for number in sorted(chosen)]
     views = [[answer(0.9, is_present=number != 3)] for number in range(MOST_VIEWS)]
     texts = drawn_texts(sheets_of(["mug"], *views, [answer(0.6)]), monkeypatch)
-    assert '"mug" in 12 of 13 views: those that show most' in texts
+    assert '"mug" in the 12 of 13 views where the masks are largest' in texts
     assert f"view {MOST_VIEWS}" in texts
     assert "view 3" not in texts
 

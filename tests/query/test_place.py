@@ -82,7 +82,7 @@ def test_a_turned_block_is_found_where_it_is() -> None:
     torch.testing.assert_close(box.extent, size, atol=0.1, rtol=0)
     assert abs(float(box.axes[0] @ turn[:, 0])) > 0.99
     assert box.axes[2].tolist() == [0, 0, 1]  # without cameras, +z is up
-    assert (thing.n_gaussians, thing.text, thing.number) == (4000, "thing", None)
+    assert (thing.n_gaussians, thing.text, thing.number) == (4000, ASKED.word, None)
     torch.testing.assert_close(box.corners().mean(0), box.centre)
     assert found.to_dict()["box"]["extent"] == pytest.approx(box.extent.tolist(), rel=1e-4)
 

@@ -23,7 +23,7 @@ from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, WordTable,
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
-from scoup.query.presence import TextScore, other_words, presence_threshold
+from scoup.query.presence import TextScore, other_words, presence_threshold, said_score
 from scoup.query.question import Question, TextVectors, check_encoder, encode_texts
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import SampledVotes, select_each
@@ -186,6 +186,14 @@ def test_fewer_than_ten_gaussians_are_absent(has_things: bool) -> None:
         assert (getattr(place.thing, "n_gaussians", 0), int(place.answer.mask.sum())) == (count, count)
     said = f"not in this scene: what fits has fewer than 10 Gaussians (score {answer.score:.2f})"
     assert answer.remark() == said
+
+
+@pytest.mark.parametrize(("score", "least", "said"), [
+    (0.35, 0.35, "0.35"), (0.3499, 0.35, "0.34"), (0.3451, 0.35, "0.34"), (0.8999, 0.35, "0.89"), (0.9, 0.35, "0.90"),
+    (0.5999, None, "0.59"), (0.987, 0.35, "0.99"), (0.0, 0.0, "0.00"),
+])  # fmt: skip
+def test_a_score_below_a_bound_reads_as_below(score: float, least: float | None, said: str) -> None:
+    assert said_score(score, least) == said
 
 
 WORDS = ("kettle", "mug")

@@ -21,7 +21,8 @@ from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.catalog_writing import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
-from scoup.query.thing_names import best_of_trees, find_objects, thing_names
+from scoup.query.thing_names import _broader as broader
+from scoup.query.thing_names import best_of_trees, broader_words, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene import Camera, Gaussians
 from support import altered, examples, gaussians_at
@@ -173,10 +174,32 @@ def test_a_word_names_only_what_it_finds() -> None:
     assert thing_names(field, field.question([ABSENT])) == {}
 
 
+def test_of_many_words_a_broader_one_names_a_thing(monkeypatch) -> None:
+    monkeypatch.setattr(constants, "SHORT_LIST", 0)
+    monkeypatch.setattr(constants, "IN_COMMON", 2)
+    field = planted_room()
+    monkeypatch.setattr("scoup.query.thing_names.broader_words", lambda: {
+        "vessel": frozenset(["cup", "mug", "vase"]), "crockery": frozenset(["cup", "mug"]),
+    })  # fmt: skip
+    assert broader(["vase", "mug", "cup", "sock"]) == ("crockery", "mug", "cup")  # the narrower of two
+    assert broader(["vase", "sock", "mug", "shoe"]) == ("vessel", "vase", "mug")
+    assert broader(["vase", "sock", "boot", "shoe"]) == ()
+    assert broader(["vessel", "mug", "vase", "shoe"]) == ("vessel", "mug", "vase")
+    names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
+    assert {name.texts for name in names.values()} == {()}  # nothing in common
+
+
+def test_broader_words() -> None:
+    words = broader_words()
+    assert {"boot", "sandal"} <= words["footwear"]
+    assert min(map(len, words.values())) >= 3
+    assert list(words) == sorted(words)
+
+
 def thing(number: int, parent: int | None, score: float | None, size: int, regions: int = 9) -> Thing:
     box = OrientedBox(torch.zeros(3).double(), torch.eye(3).double(), torch.ones(3).double())
-    name = "" if score is None else "mug"
-    return Thing(number, "m", parent, name, score, torch.zeros(3).double(), box, torch.arange(size), regions)
+    position, gaussians = torch.zeros(3).double(), torch.arange(size)
+    return Thing(number, "m", parent, "", None, position, box, gaussians, regions, word_score=score)
 
 
 @pytest.mark.parametrize(("tree", "objects"), [

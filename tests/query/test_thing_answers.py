@@ -304,7 +304,8 @@ def test_things_answer_in_views(asked: Asked) -> None:
 
 
 @pytest.mark.parametrize("level", [None, *range(len(LEVELS))])
-def test_things_answer_in_the_scene(asked: Asked, level: int | None) -> None:
+def test_things_answer_in_the_scene(asked: Asked, level: int | None, monkeypatch) -> None:
+    monkeypatch.setattr(constants, "RUNNER_UP", 1e9)
     question = replace(asked.wall.texts, present_from=0.9, level=level)
     for number, answer in enumerate(each_answer(asked.field, question)):
         assert level in (None, LEVELS.index(answer.level))

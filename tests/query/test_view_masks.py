@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from query.conftest import Queried
+from query.planted_room import Box, planted_room
 from scoup import raster
 from scoup.query import constants
-from scoup.query.view_answer import main_parts, mask_box, mask_position, most_relevant_pixel, render_depth
+from scoup.query.boxes import PointSets
+from scoup.query.view_answer import main_parts, mask_box, most_relevant_pixel, render_depth
 from scoup.scene import Camera
 from support import examples
 
@@ -106,32 +108,47 @@ def test_depth_is_the_mean_of_what_paints_a_pixel(queried: Queried) -> None:
     assert torch.allclose(found[painted].double(), (shares @ distances / alpha)[painted], rtol=1e-4)
 
 
-def test_the_position_of_a_flat_wall() -> None:
-    """Pixels at one distance along the view direction lie on a plane."""
-    camera = Camera.look_at((1.0, 2.0, 3.0), (1.0, 2.0, -4.0), "a.png", 20, 10, 15.0, up=(0.0, 1.0, 0.0))
-    mask, depth = torch.zeros(10, 20, dtype=torch.bool), torch.full((10, 20), 5.0)
-    mask[4:6, 9:11] = True  # the middle of the image
-    right = torch.zeros_like(mask)
-    right[5, 19] = True
-    found, moved = mask_position(mask, depth, camera), mask_position(right, depth, camera)
-    assert found is not None
-    assert moved is not None
-    assert found[2].item() == pytest.approx(-2.0)
-    # A median is one of the values: half a pixel beside the middle.
-    assert torch.allclose(found[:2], torch.tensor([1.0, 2.0]).double(), atol=0.5 / 15 * 5 + 1e-6)
-    assert moved[0].item() == pytest.approx(1.0 + (19.5 - 10) / 15 * 5)
-    depth[5, 19] = torch.nan
-    assert mask_position(right, depth, camera) is None
+def test_the_position_is_that_of_the_thing_seen_most(queried: Queried) -> None:
+    """It is the median of its Gaussians by what they contribute to the main parts, without any others."""
+    field, camera = queried.field, queried.camera
+    view = field.at(camera)
+    assert field.thing_table is not None
+    every = torch.eye(len(field))
+    for seen in view.answer(queried.texts):
+        image = raster.render_values(view.projection, every)  # [H, W, N]
+        weights = image[seen.main_parts].double().sum(0)
+        members = [field.thing_table.members(torch.tensor([thing])) for thing in seen.answer.things]
+        rows = max(members, key=lambda mask: float(weights[mask].sum()))
+        points = PointSets.of_one_thing(field.gaussians.means[rows].double(), weights[rows])
+        assert seen.position is not None
+        assert torch.allclose(seen.position, torch.from_numpy(points.medians()[0]), atol=1e-4)
+    assert any(seen.position is not None for seen in view.answer(queried.texts))
+
+
+def test_of_two_things_the_position_is_that_of_one() -> None:
+    boxes = [
+        Box("mug", (0, 0, 0), (1, 1, 1)),
+        Box("mug", (4, 0, 0), (1, 1, 1)),
+        Box("ball", (8, 0, 0), (1, 1, 1)),
+    ]
+    field = planted_room(boxes)
+    camera = Camera.look_at((2.0, 0.5, 12.0), (2.0, 0.5, 0.5), "a.png", 120, 60, 90.0, up=(0.0, 1.0, 0.0))
+    seen = field.at(camera).answer("mug")
+    assert len(seen.answer.things) == 2
+    assert seen.position is not None
+    middles = [thing.position for thing in field.things("mug")]
+    assert min(float((seen.position - middle).norm()) for middle in middles) < 0.9
 
 
 def test_answers_know_their_position_after_the_projection_is_gone(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     view = field.at(camera)
-    expected, answers = view.renders.depth(), field.at(camera).answer(queried.texts)
+    expected = [answer.position for answer in view.answer(queried.texts)]
+    answers = field.at(camera).answer(queried.texts)
     del view
     gc.collect()
-    for answer in answers:
-        found, wanted = answer.position, mask_position(answer.main_parts, expected, camera)
+    for answer, wanted in zip(answers, expected, strict=True):
+        found = answer.position
         assert (found is None) == (wanted is None)
         assert found is None or (wanted is not None and torch.equal(found, wanted))
     assert any(answer.position is not None for answer in answers)

@@ -33,6 +33,7 @@ from scoup.models import TextEncoder
 from scoup.query import Answer, LanguageField, level_thresholds
 from scoup.query.answer_scene import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
+from scoup.view.scene_data import NO_OWNER
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
 from scoup.view.vocabulary import words_data
@@ -111,7 +112,7 @@ def test_page_exported_page_and_agents_do_not_contradict_the_field(make: Callabl
         assert field.levels[on_page.level] == answer.level
         assert (on_page.chosen_things or [] if answer.presence else []) == list(answer.things)
         reply, things = tools.find("f", answer.text), field.things(answer.text)
-        said = {name: answer.to_dict()[name] for name in ("score", "certainty", "runner_up")}
+        said = {name: answer.to_dict()[name] for name in ("score", "certainty", "count", "runner_up")}
         assert reply["texts"] == [{"text": answer.text, **said}]
         assert len(reply["things"]) == len(things)
         if answer.things:
@@ -209,9 +210,10 @@ def test_words_hold_the_same_answers(viewed: ViewedField, of_things: ViewedField
     named = [[answer.chosen_things, *answer.things] for answer in answers]
     assert [[len(each or ()) for each in row] for row in named] == tensors["thing_counts"].tolist()
     assert [number for row in named for each in row for number in each or ()] == tensors["things"].tolist()
-    rivals = [answer.verdict["runner_up"] for answer in answers]
+    rivals = [answer.verdict["runner_up"] or {"thing": NO_OWNER, "score": math.nan} for answer in answers]
     assert [rival["thing"] for rival in rivals] == tensors["runner_up"].tolist()
-    assert [rival["score"] for rival in rivals] == pytest.approx(tensors["runner_up_score"].tolist())
+    scores = pytest.approx(tensors["runner_up_score"].tolist(), nan_ok=True)
+    assert [rival["score"] for rival in rivals] == scores
 
 
 def test_an_encoder_of_another_size_is_refused_only_if_it_was_given() -> None:

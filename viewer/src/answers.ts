@@ -24,7 +24,7 @@ export interface Answer {
   /** The score in words. */
   certainty: string | null;
   present: boolean;
-  /** The best thing elsewhere. */
+  /** The best thing elsewhere, if it fits nearly as well. */
   runner_up: { thing: number; score: number | null } | null;
   /** The stable threshold of each level. */
   thresholds: number[];

@@ -148,16 +148,16 @@ export class Panel {
     if (!answer.present) return [certainty];
     const facts = [levelFact(this.metadata.levels[this.state.levelOf(query)])];
     if (level !== null || threshold !== null) return facts;
-    return [...(answer.score === null ? [] : [certainty]), ...facts, [counted(answer.gaussians, "Gaussian"), ""]];
+    const things = answer.chosen_things?.length ? [plain(counted(answer.chosen_things.length, "thing"))] : [];
+    const other = answer.runner_up ? [plain(`or ${this.nameOf(answer.runner_up.thing)}`)] : [];
+    return [...things, ...(answer.score === null ? [] : [certainty]), ...other, ...facts, plain(counted(answer.gaussians, "Gaussian"))];
   }
 
   private certainty({ answer }: Query): [string, string] {
-    const { score, certainty, runner_up: rival } = answer;
+    const { score, certainty } = answer;
     if (answer.remark) return [answer.remark, ""];
     if (score === null) return ["not here", ""];
-    const title = [`Score ${score.toFixed(2)}: ${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];
-    if (rival) title.push(`Next best: ${this.nameOf(rival.thing)}${rival.score === null ? "" : `, ${rival.score.toFixed(2)}`}`);
-    return [certainty ?? "", `${title.join(". ")}.`];
+    return [certainty ?? "", `Score ${score.toFixed(2)}: ${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer.`];
   }
 
   private nameOf(thing: number): string {
@@ -165,6 +165,11 @@ export class Panel {
     const name = this.state.things?.nameOf(thing) ?? plain;
     return name === plain ? plain : `${name} (${plain})`;
   }
+}
+
+/** A fact without a tooltip. */
+function plain(text: string): [string, string] {
+  return [text, ""];
 }
 
 /** A level in words, with its name as the tooltip. */

@@ -39,8 +39,9 @@ export interface Thing {
   level: number;
   /** Number of the thing it is a part of. */
   parent: number | null;
-  /** The word of the vocabulary that fits best. */
   name: string | null;
+  /** "detector" or "embedding", which is wrong more often; "" without a name. */
+  named_by: string;
   position: number[];
   box: { centre: number[]; axes: number[][]; extent: number[] };
   gaussians: number;

@@ -66,8 +66,9 @@ export class ThingPanel {
     });
     const size = this.state.lengths(...thing.box.extent);
     const facts = element("span", { class: "facts" });
+    const detected: [string, string][] = thing.named_by === "detector" ? [["named by a detector", ""]] : [];
     const regions = `Merged from ${counted(thing.views, "region")}`;
-    showFacts(facts, [levelFact(this.levels[thing.level]), [counted(thing.gaussians, "Gaussian"), regions], [`size ${size}`, ""]]);
+    showFacts(facts, [...detected, levelFact(this.levels[thing.level]), [counted(thing.gaussians, "Gaussian"), regions], [`size ${size}`, ""]]);
     return element("div", { class: "thing" }, name, facts);
   }
 

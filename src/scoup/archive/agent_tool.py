@@ -49,7 +49,7 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
         records = [thing.to_dict() for thing in things]
         for record in records:
             del record["field"]  # a path of this machine
-        return {"things": records}
+        return {"count": len(records), "things": records}
 
     return find_in_archive
 

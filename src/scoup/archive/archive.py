@@ -100,6 +100,8 @@ class FoundThing:
     """File of the scan's field."""
     world: WorldFrame
     """Of its scan, when it was added."""
+    runner_up: int | None = None
+    """Number of the best other thing of the scan, beside the first that answers there, if it fits nearly as well."""
 
     def field(self) -> LanguageField:
         """Load the field of the scan."""
@@ -108,7 +110,8 @@ class FoundThing:
     def describe(self) -> str:
         """Return scan, number, position and extent in words, for people."""
         place = self.world.place(self.position.tolist(), self.box.extent.tolist())
-        return f"{self.scan}, thing {self.thing}, level {self.level}, at {place}"
+        runner_up = "" if self.runner_up is None else f", or thing {self.runner_up}"
+        return f"{self.scan}, thing {self.thing}, level {self.level}, at {place}{runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values, rounded."""
@@ -123,6 +126,7 @@ class FoundThing:
             "box": self.box.to_dict(),
             **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
             "gaussians": self.n_gaussians,
+            "runner_up": self.runner_up,
             "columns": dict(self.columns),
             "field": str(self.field_path),
         }
@@ -492,7 +496,7 @@ class Archive:
             FoundThing(
                 scan.name, one.thing, one.text, scan.levels[int(scan.arrays["levels"][one.thing])], one.score,
                 one.certainty, position, box, int(scan.arrays["counts"][one.thing]), scan.columns, scan.field_path,
-                scan.world,
+                scan.world, one.runner_up,
             )
             for one, (position, box) in zip(answers, places, strict=True)
             for scan in [of_scene[one.scene]]

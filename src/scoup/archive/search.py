@@ -45,6 +45,7 @@ class Found(NamedTuple):
     score: float | None
     rank: float  # among the things of all scans
     certainty: Certainty | None = None  # of the answer of its scan
+    runner_up: int | None = None  # of the first thing of a scan (``Answer.runner_up``)
 
 
 class UnaskedScanError(InputError):
@@ -128,7 +129,10 @@ class AskedScans:
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for key, score, rank in zip(keys, scores, ranks, strict=True):
                 verdict = self._asked.verdicts[text][key[0]]
-                ranked[key] = Found(*key, text, score, rank, verdict.certainty)
+                is_first = self.search.expression.is_plain and verdict.things[:1] == key[1:]
+                rival = verdict.runner_up.thing if is_first and verdict.runner_up else None
+                word = self.search.question.words[self.search.question.texts.index(text)]
+                ranked[key] = Found(*key, word, score, rank, verdict.certainty, rival)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
         return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]
 
@@ -164,7 +168,8 @@ class AskedScans:
             missing = "field" if error.path == scan.field_path else "splat"
             problem = f"the {missing} of scan {scan.name} is gone: {error.path}"
             raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
-        return [(scene, thing.number, thing.text) for thing in things if thing.number is not None]
+        texts = dict(zip(search.question.words, search.question.texts, strict=True))
+        return [(scene, thing.number, texts[thing.text]) for thing in things if thing.number is not None]
 
 
 def look_alikes(index: ThingIndex, vector: Tensor, name: str, placed: Sequence[Tensor]) -> Iterator[Found]:

@@ -134,11 +134,8 @@ def report_field(
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
         console.say(
-            f"level {level}: {counted(report['regions'], 'region')}, mean cosine {report['mean_cosine']:.3f}, "
-            f"5th percentile {report['low_cosine']:.3f}, dead atoms {report['dead_atoms']:.0%}"
+            f"level {level}: {counted(report['regions'], 'region')}, their codes {report['mean_cosine']:.0%} alike"
         )
-    if strays := field.info.provenance.get("strays"):
-        console.say(f"{counted(sum(strays.values()), 'stray')} cut from things")
     if ":" in field.raster_preset:
         console.say(
             f"raster preset {field.raster_preset}: the number is the near plane, in units of the scene"

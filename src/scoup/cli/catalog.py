@@ -49,7 +49,7 @@ class MakeCatalog:
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:
             console.say(
-                f"{thing.text or 'unnamed'}: thing {thing.number}, level {thing.level}, at {thing.describe()}"
+                f"{thing.text and f'{thing.text}: '}thing {thing.number}, level {thing.level}, at {thing.describe()}"
             )
         shown = f" (the {SHOWN} largest are listed above)" if len(catalog.things) > SHOWN else ""
         relations = counted(len(catalog.relations), "relation")

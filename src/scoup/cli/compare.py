@@ -65,7 +65,7 @@ class CompareCaptures:
         for change in comparison.changes:
             thing = change.new or change.old
             assert thing is not None
-            text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
+            text = f"{thing.text and f'{thing.text}: '}thing {thing.number}, at {thing.describe()}"
             console.say(f"{comparison.describe(change)}, confidence {change.confidence:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in comparison.changes)
         console.say(

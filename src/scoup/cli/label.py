@@ -79,7 +79,7 @@ class Label:
         frame = self.directions.frame(field)
         question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.
-        files = LabelFiles(words, outputs, cameras)
+        files = LabelFiles([*dict.fromkeys(map(field.encoder.word_of, words))], outputs, cameras)
         with staged(out, files.names, self.common.overwrite) as hidden, console.progress() as progress:
             answers = field.answer(question)
             labels = GaussianLabels.of(field, answers)
@@ -111,12 +111,13 @@ def _report(
 ) -> None:
     from scoup.query import ExpressionAnswer
 
-    record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
+    record, of_name = labels.to_dict(), {answer.word: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
-        summary = f"{counted(one['gaussians'], 'Gaussian')}{answer.numbered()}{seen}"
+        things = f"{answer.counted()}, " if answer.things else ""
+        summary = f"{things}{counted(one['gaussians'], 'Gaussian')}{seen}"
         console.say(f"{one['name']}: {summary if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:

@@ -10,6 +10,7 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from difflib import get_close_matches
 from functools import cache, reduce
 from itertools import pairwise
 from operator import or_
@@ -44,6 +45,9 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
         if isinstance(verb, Family):
             return parse(rest, verb, f"{program} {name}")
         return _parse(verb, f"{program} {name}", _text(verb), rest)
+    if near := get_close_matches(name, family.verbs, 1):
+        print(f"{program} {name}: there is no such verb; {program} {near[0]}?", file=sys.stderr)
+        raise SystemExit(2)
     # Either the list of verbs is wanted, or there is no such verb: neither needs to know their options.
     listed = [
         Annotated[_Listed, tyro.conf.subcommand(name, description=_paragraphs(_text(family.load(name)))[0])]
@@ -57,7 +61,7 @@ def in_one_line(box: str) -> str:
     lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
     parts = re.split(r"\n[─-]+\n", "\n".join(lines))
     # Where the terminal has no letters for frames, the title is the first part.
-    said = parts[0 if "╭" in box else 1]
+    said = parts[0 if "╭" in box else 1 % len(parts)]
     return " ".join(said.split())
 
 

@@ -97,7 +97,8 @@ class Query:
         question = self.opening.question(
             field, self.texts, frame=self.directions.frame(field), **self.answer.rules()
         )
-        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco, self.video)
+        classes = [field.encoder.word_of(text) for text in self.texts] if self.coco else []
+        files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, classes, self.video)
         names = [RECORD, *files.names]
         with staged(out, names, self.common.overwrite) as hidden, console.progress() as progress:
             views = reported(cameras, "query", len(cameras), progress)
@@ -171,8 +172,7 @@ class Query:
             if record["present"]:
                 console.say(_sentence(record))
         for place in places:
-            at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.describe()}")
+            console.say(f"in the scene  {place.answer.text}: {place.describe()}")
         doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
         if doubtful and self.detector.refine is None:
             asked = command("query", self.field, *doubtful, "--refine", "owlv2")

@@ -176,7 +176,8 @@ class Select:
     ) -> None:
         counts = {term.text: int(term.mask.sum()) for term in whole.parts}
         for term in whole.parts:
-            share = f"{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
+            things = f"{term.counted()}, " if term.things else ""
+            share = f"{things}{counts[term.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
             console.say(f"{term.text}: {share if term.presence else term.remark()}")
         selected = int(whole.mask.sum())
         if list(counts) != [whole.text]:
@@ -184,7 +185,7 @@ class Select:
         elif selected != counts[whole.text]:
             console.say(f"{whole.text}, reshaped: {selected:,}")
         if place.position is not None:
-            console.say(f"at {place.describe()}")
+            console.say(place.describe())
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         if self.edit == "remove":
             console.say("nothing was photographed behind it: expect a hole or haze in its place")

@@ -40,7 +40,7 @@ class CodingReport:
     def __str__(self) -> str:
         return (
             f"{self.solver}: {counted(self.regions, 'region')}, mean cosine {self.mean_cosine:.4f}, "
-            f"5th percentile {self.low_cosine:.4f}, dead atoms {100 * self.dead_atoms:.1f} %, "
+            f"5th percentile {self.low_cosine:.4f}, unused atoms {100 * self.dead_atoms:.1f} %, "
             f"{self.epochs} epochs in {self.seconds:.1f} s"
         )
 

@@ -244,6 +244,11 @@ class TextEncoder:
         )
         return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
 
+    def word_of(self, phrase: str) -> str:
+        """Return the word of ``vocabulary`` that a phrase is a form of ("mug" for "mugs"), else the phrase."""
+        words = {word.casefold(): word for word in self.vocabulary()}
+        return next((words[form] for form in word_forms(phrase) if form in words), phrase)
+
     def close(self) -> None:
         """Release the model or table."""
         self._encode = self._canonical = self._everyday = self._model = None

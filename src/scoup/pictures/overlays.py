@@ -29,6 +29,7 @@ from scoup.pictures.lettering import captioned
 MASK_COLOR = (255, 92, 40)
 BOX_COLOR = (80, 220, 255)
 POINT_COLOR = (255, 255, 255)
+OTHER_COLOR = (255, 205, 0)
 
 
 def heat_map(
@@ -81,13 +82,15 @@ def mask_overlay(
     label: str = "",
     remark: str = "",
     color: tuple[int, int, int] = MASK_COLOR,
+    other: ArrayOrTensor | None = None,
 ) -> Picture:
-    """Draw a mask over the colour render: tinted, outlined, the rest darker; with a box and a cross if given. The label
-    is written above, with ``remark`` on the right; there is no strip if both are empty."""
+    """Draw a mask over the colour render: tinted, outlined, the rest darker; with a box, a cross and the outline of
+    another mask if given. The label is written above, with ``remark`` on the right; there is no strip if both are
+    empty."""
     inside, picture = as_array(mask).astype(bool), as_picture(rgb)
     _check_size(inside, picture, "mask")
     shown = np.where(inside[..., None], picture * 0.55 + np.array(color) * 0.45, picture * 0.72)
-    drawn = _draw_marks(shown.astype(np.uint8), inside, color, box, point)
+    drawn = _draw_marks(shown.astype(np.uint8), inside, color, box, point, other)
     return captioned(drawn, label, remark) if label or remark else drawn
 
 
@@ -130,11 +133,12 @@ def answer_overlay(
     span: tuple[float, float],
     box: tuple[float, float, float, float] | None = None,
     point: tuple[float, float] | None = None,
+    other: ArrayOrTensor | None = None,
 ) -> Picture:
-    """Draw the outline of the mask, the box and the point over ``heat_overlay``; no lettering."""
+    """Draw the outlines of the mask and of another, the box and the point over ``heat_overlay``; no lettering."""
     inside, heat = as_array(mask).astype(bool), heat_overlay(relevancy, rgb, span)
     _check_size(inside, heat, "mask")
-    return _draw_marks(heat, inside, POINT_COLOR, box, point)
+    return _draw_marks(heat, inside, POINT_COLOR, box, point, other)
 
 
 def eroded(inside: np.ndarray, width: int) -> np.ndarray:
@@ -152,12 +156,15 @@ def _draw_marks(
     color: Sequence[float],
     box: tuple[float, float, float, float] | None = None,
     point: tuple[float, float] | None = None,
+    other: ArrayOrTensor | None = None,
 ) -> Picture:
-    """Draw the outline of a mask, lighter than its colour, a box and a cross."""
+    """Draw the outlines of a mask, lighter than its colour, and of another, a box and a cross."""
     width = max(1, round(picture.shape[1] / 320))
-    core = eroded(inside, width)
     shown = picture.copy()
-    shown[inside & ~core] = np.minimum(np.array(color) * 0.75 + 64, 255)
+    if other is not None:
+        around = as_array(other).astype(bool)
+        shown[around & ~eroded(around, width)] = OTHER_COLOR
+    shown[inside & ~eroded(inside, width)] = np.minimum(np.array(color) * 0.75 + 64, 255)
     canvas = Image.fromarray(shown)
     draw = ImageDraw.Draw(canvas)
     if box is not None:

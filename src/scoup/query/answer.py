@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base import card, listed
 from scoup.field import Field
 from scoup.query.expression import Expression
-from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
+from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty, said_score
 from scoup.query.question import AskedText
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RunnerUp(NamedTuple):
-    """The next best thing."""
+    """The best thing elsewhere, if it fits nearly as well (``constants.RUNNER_UP``)."""
 
     thing: int
     """Its number."""
@@ -58,7 +58,7 @@ class Answer:
     scores: tuple[float | None, ...] = ()
     """The score of each of these things alone."""
     runner_up: RunnerUp | None = None
-    """The best thing elsewhere; None where none is."""
+    """The best thing elsewhere, if it fits nearly as well; None otherwise."""
     threshold: float | None = None
     """The Gaussians that answer are above it, on relevancy rescaled over the scene; None if things answer."""
 
@@ -77,28 +77,36 @@ class Answer:
         return (self.asked,)
 
     @property
+    def word(self) -> str:
+        """What answers is called: "mug" where "mugs" was asked; the whole of a phrase or expression."""
+        return self.asked.word
+
+    @property
     def certainty(self) -> Certainty | None:
         """The score in words: sure, likely, doubtful, not here."""
         return certainty(self.score, self.presence)
 
-    def numbered(self) -> str:
-        """Return the numbers of its things for a sentence, after a comma: ", things 3, 5"; "" without things."""
-        numbers = ", ".join(map(str, self.things))
-        return numbers and f", {'thing' if len(self.things) == 1 else 'things'} {numbers}"
+    def counted(self) -> str:
+        """Return how many things it is, with their numbers: "thing 3", "2 things (3, 5)"; "" without things."""
+        if len(self.things) < 2:
+            return "".join(f"thing {number}" for number in self.things)
+        return f"{len(self.things)} things ({', '.join(map(str, self.things))})"
 
     def remark(self) -> str:
-        """Return score and certainty in a few words."""
+        """Return score and certainty in a few words, and the runner-up."""
+        runner_up = f", or thing {self.runner_up.thing}" if self.presence and self.runner_up else ""
         if self.score is None:
-            return "presence not judged" if self.presence else "not in this scene"
+            return "presence not judged" + runner_up if self.presence else "not in this scene"
         where, least = str(self.certainty) if self.presence else "not in this scene", self.asked.present_from
         if not self.presence and least is not None and self.score >= least:
             where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
-        return f"{where} (score {self.score:.2f})"
+        return f"{where} (score {said_score(self.score, least)}){runner_up}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer as plain JSON values, rounded."""
         return {
             "gaussians": int(self.mask.sum()),
+            "count": len(self.things),
             "things": list(self.things),
             **self.verdict(),
             "runner_up": self.runner_up
@@ -140,6 +148,10 @@ class ExpressionAnswer(Answer):
     """Name of the camera from which left, right, front and back are meant; "" where nothing depends on it."""
 
     @property
+    def word(self) -> str:
+        return self.asked.word if isinstance(self.tree.root, str) else self.text
+
+    @property
     def heats(self) -> tuple[AskedText, ...]:
         """The wanted texts."""
         return tuple(answer.asked for answer in self.parts if answer.text in self.tree.wanted)
@@ -155,10 +167,8 @@ class ExpressionAnswer(Answer):
             counts = ", ".join(f"{one.text}: {len(one.things) or 1}" for one in self.parts if one.presence)
             matched = f"found {counts}, but none that is so{seen}" if counts else "nothing found"
             return "; ".join(absent) or matched
-        texts = {one.text for one in self.parts} if len(self.tree.wanted) == 1 else set[str]()
-        named = Counter(
-            thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
-        )
+        texts = {one.asked.word for one in self.parts} if len(self.tree.wanted) == 1 else set[str]()
+        named = Counter(thing.title for thing in self.found if thing.text not in texts)
         names = listed([name if count == 1 else f"{count} x {name}" for name, count in named.items()], 12)
         return f"{names}; " * bool(names) + super().remark() + seen
 

@@ -37,7 +37,7 @@ LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
     "Heat: relevancy, the same colours in all cells. White line: the mask. Cross: the pixel that fits best. Blue: the "
-    "box around the mask without specks. Grey all over: absent, or not visible from here."
+    "box around the mask without specks. Yellow line: the runner-up. Grey all over: absent, or not visible from here."
 )
 
 
@@ -49,7 +49,7 @@ class AnswerFiles:
         cameras: of all views, in the order in which they are added.
         pictures: "sheet", "all" (each picture by itself, too) or "none".
         npz: write relevancy and masks of each view as arrays.
-        coco: write the masks of all views as COCO's JSON.
+        coco: names of categories, one per text, to write the masks of all views as COCO's JSON.
         video: of each text's heat map; "turntable": those of texts without a place are left out.
     """
 
@@ -59,7 +59,7 @@ class AnswerFiles:
         cameras: Sequence[Camera],
         pictures: Literal["sheet", "all", "masks", "none"] = "sheet",
         npz: bool = False,
-        coco: bool = False,
+        coco: Sequence[str] = (),
         video: Motion | Literal["none"] = "none",
     ) -> None:
         self._folders = dict(
@@ -72,16 +72,16 @@ class AnswerFiles:
             dict(zip(self._folders, mask_files(cameras), strict=True)) if pictures == "masks" else {}
         )
         self._sheets = None if pictures in ("masks", "none") else AnswerSheets(texts, len(cameras))
-        if coco and len(set(texts)) < len(texts):
+        if len(set(coco)) < len(coco):
             raise InputError("two texts are equal, but COCO's categories differ by name; pass each text once")
-        self._coco = CocoAnnotations(tuple(texts)) if coco else None
+        self._coco = CocoAnnotations(tuple(coco)) if coco else None
         self._motion: Motion | Literal["none"] = video
         self._videos = [] if video == "none" else [f"{name}_{video}.mp4" for name in unique_slugs(texts)]
         singles = [name for of_text in self._singles for name in of_text.values()] + [NPZ] * npz
         # Of all files, within their folder.
         self.names = [
             *self.sheet_names,
-            *[COCO] * coco,
+            *[COCO] * bool(coco),
             *self._masks.values(),
             *(f"{folder}/{name}" for folder in self._folders.values() for name in singles),
             *self._videos,
@@ -181,6 +181,7 @@ class _Cell:
     mask: np.ndarray
     box: tuple[float, float, float, float] | None
     point: tuple[float, float] | None
+    runner_up: np.ndarray | None
     remark: str
     coverage: float  # 0 if nothing is visible
     largest: float  # relevancy before resizing
@@ -243,7 +244,8 @@ class AnswerSheets:
             for column in columns:
                 cell = row.cells[column]
                 heat = cell.heat if cell.coverage else np.zeros_like(cell.heat)
-                tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
+                marks = span, cell.box, cell.point, cell.runner_up
+                tiles.append(answer_overlay(heat, cell.mask, row.picture, *marks))
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
         beside = min(self.views, VIEWS_BESIDE) if alone else len(columns)
@@ -258,8 +260,7 @@ class AnswerSheets:
             texts = f"texts {columns[0] + 1} to {columns[-1] + 1} of {len(self.texts)}"
         if n_shown == self.views:
             return f"{texts} in {counted(n_shown, 'view')}"
-        turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
-        return f"{texts} in {n_shown} of {counted(self.views, 'view')}: those that show most{turns}"
+        return f"{texts} in the {n_shown} of {counted(self.views, 'view')} where the masks are largest"
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
@@ -275,12 +276,16 @@ def _cell(answer: ViewAnswer, size: tuple[int, int]) -> _Cell:
     height, width = answer.mask.shape
     x, y = size[0] / width, size[1] / height
     relevancy, how = answer.heat.numpy(), Image.Resampling.BILINEAR
-    mask = np.asarray(Image.fromarray(answer.mask.numpy().astype(np.uint8) * 255).resize(size, how)) > 127
+
+    def resized(mask: Tensor) -> np.ndarray:
+        return np.asarray(Image.fromarray(mask.numpy().astype(np.uint8) * 255).resize(size, how)) > 127
+
     return _Cell(
         heat=np.asarray(Image.fromarray(relevancy).resize(size, how)),
-        mask=mask,
+        mask=resized(answer.mask),
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
+        runner_up=None if answer.runner_up is None else resized(answer.runner_up),
         remark=answer.remark(),
         coverage=answer.coverage,
         largest=float(relevancy.max()),

@@ -128,7 +128,7 @@ def evaluated(
         presence=presence,
         things=tuple(numbers),
         scores=tuple(numbers.values()),
-        runner_up=best.runner_up if wanted else None,
+        runner_up=best.runner_up if tree.is_plain and len(parts) == 1 else None,
         threshold=best.threshold,
         tree=tree,
         parts=tuple(parts),

@@ -28,7 +28,7 @@ class Catalog:
     """
 
     things: tuple[Thing, ...]
-    """Every thing with its best name as ``text`` and the score of this name, or "" and None; finer levels first."""
+    """Every thing with its best name as ``text``, or ""; finer levels first."""
     names: tuple[tuple[str, ...], ...]
     """Up to three names per thing, best first."""
     objects: tuple[int, ...]
@@ -88,13 +88,12 @@ def related_objects(
 
 def catalog_rows(catalog: Catalog) -> list[list[Any]]:
     """Return the things as rows of a table, the first with the names of the columns."""
-    head = ["thing", "name", "other names", "level", "parent", "score"]
+    head = ["thing", "name", "other names", "named by", "level", "parent"]
     rows: list[list[Any]] = [[*head, "x", "y", "z", "length", "width", "height", "gaussians", "regions"]]
     for thing, names in zip(catalog.things, catalog.names, strict=True):
         unit = thing.world.metres_per_unit or 1.0
         numbers = [*(thing.position * unit).tolist(), *(thing.box.extent * unit).tolist()]
         parent = "" if thing.parent is None else thing.parent
-        score = "" if thing.score is None else round(thing.score, 4)
-        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, score]
+        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.named_by, thing.level, parent]
         rows.append([*facts, *rounded_vector(numbers, 6), thing.n_gaussians, thing.n_regions])
     return rows

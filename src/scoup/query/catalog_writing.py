@@ -150,17 +150,17 @@ def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | N
 
 _CARDS = """{% extends "page" %}{% block body %}
 <p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> <select aria-label="Sort by">
-<option value="score">sort by certainty<option value="name">by name<option value="size">by size</select>
+<option value="size">sort by size<option value="name">by name</select>
 <output>{{ count }}</output></p>
 {% for heading, cards in sections.items() %}
 {% if loop.last %}<details><summary>{{ heading }}</summary>{% elif heading %}<h2>{{ heading }}</h2>{% endif %}
 <ul{% if pairs %} class="pairs"{% endif %}>
 {% for card in cards %}
-<li data-name="{{ card.thing.text }}" data-size="{{ '%.4g' % card.thing.size }}" data-score="{{ '%.4f' % card.score }}">
+<li data-name="{{ card.thing.text }}" data-size="{{ '%.4g' % card.thing.size }}">
 <div>{% for caption, file in card.pictures.items() %}
 <figure><img loading="lazy" alt="" src="{{ file }}"><figcaption>{{ caption }}</figcaption></figure>
 {% endfor %}</div>
-<b>{{ card.thing.text or "unnamed" }}</b>
+<b>{{ card.thing.title }}</b>
 <small>{% for fact in card.facts %}{{ fact }}{{ "" if loop.last else "<br>" | safe }}{% endfor %}</small></li>
 {% endfor %}
 </ul>{% if loop.last %}</details>{% endif %}
@@ -173,14 +173,13 @@ if(wanted)document.querySelector("details").open=true;
 document.querySelector("output").textContent=`${count} of ${items.length}`});
 sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
 sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
-b.dataset[sort.value]-a.dataset[sort.value]))});</script>{% endblock %}"""
+b.dataset.size-a.dataset.size))});</script>{% endblock %}"""
 
 
 class Card(NamedTuple):
     """A thing on a page: facts below its name, and files of its pictures by their captions."""
 
     thing: Thing
-    score: float
     facts: Sequence[str]
     pictures: Mapping[str, str]
 
@@ -192,18 +191,19 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
         parts.setdefault(thing.parent, set()).add(thing.text)
     objects = frozenset(catalog.objects)
     cards: tuple[list[Card], list[Card]] = [], []
-    ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda pair: -(pair[0].score or 0))
+    ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda pair: -pair[0].size)
     for thing, names in ordered:
-        related = [f"thing {thing.number}"]
+        related = [f"thing {thing.number}"] if thing.text else []
         if inside := parts.get(thing.number, set()) - {"", thing.text}:
             related.append(f"with {', '.join(sorted(inside))}")
         if (whole := text_of.get(thing.parent, "")) not in ("", thing.text):
             related.append(f"in {whole}")
-        alternatives = [f"or {', '.join(names[1:])}"] if names[1:] else []
+        alternatives = [f"perhaps {' or '.join(names[1:])}"] if names[1:] else []
+        detected = ["named by a detector"] if thing.named_by == "detector" else []
         size = thing.world.lengths(thing.box.extent.tolist())
-        facts = [thing.certainty or "", *alternatives, size, ", ".join(related)]
+        facts = [*detected, *alternatives, size, *([", ".join(related)] if related else [])]
         pictures = {"": _picture_name(thing)} if thing.number in drawn else {}
-        cards[thing.number not in objects].append(Card(thing, thing.score or 0, facts, pictures))
+        cards[thing.number not in objects].append(Card(thing, facts, pictures))
     sections = {"": cards[0], f"Parts, groups and fragments ({len(cards[1])})": cards[1]}
     return cards_page(f"Things of {title}", f"{len(catalog.things)} things", sections)
 

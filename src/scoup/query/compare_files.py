@@ -86,7 +86,7 @@ def _card(change: Change, pictures: Mapping[str, str], comparison: Comparison) -
         thing.world.lengths(thing.box.extent.tolist()),
         ", ".join(f"thing {thing.number} of the {side} capture" for side, thing in there),
     )
-    return Card(thing, change.confidence, facts, dict(sorted(pictures.items(), reverse=True)))
+    return Card(thing, facts, dict(sorted(pictures.items(), reverse=True)))
 
 
 def _pictures(

@@ -63,7 +63,7 @@ class GaussianLabels:
         """
         of_name: dict[str, Answer] = {}
         for answer in answers:
-            of_name.setdefault(answer.text, answer)
+            of_name.setdefault(answer.word, answer)
         names, answers = tuple(of_name), [*of_name.values()]
         if NONE_NAME in names:
             raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")

@@ -110,10 +110,8 @@ def _chosen(choice: Choice, chosen: Tensor, levels: Tensor, fits: Tensor) -> Cho
     return Choice(things, int(levels[chosen[0]]), float(fits[chosen].max()), lost[0] if lost else rival)
 
 
-def voted_names(
-    field: Field, texts: Collection[str] | None = None
-) -> dict[int, tuple[tuple[str, ...], float]]:
-    """Return the names that a model gave to each thing that it is sure of, best first, and the score of the first.
+def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int, tuple[str, ...]]:
+    """Return the names that a model gave to each thing that it is sure of, best first.
 
     Args:
         field: with or without names.
@@ -136,8 +134,7 @@ def voted_names(
     for thing, row in enumerate(best_words(votes).tolist()):
         rows = [usable[word] for word in row if sure[thing, word]]
         if rows:
-            score = Named(names, rows[0], len(table)).score(thing=thing)
-            by_thing[thing] = tuple(names.texts[word] for word in rows), score
+            by_thing[thing] = tuple(names.texts[word] for word in rows)
     return by_thing
 
 

@@ -53,10 +53,11 @@ class Place:
         return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
     def describe(self) -> str:
-        """Return position, extent and score in a few words."""
+        """Return how many things it is, the place of the first, and the score, in a few words."""
         if self.thing is None:
             return self.answer.remark()
-        return f"{self.thing.describe()}{self.answer.numbered()}, {self.answer.remark()}"
+        first = ", the first" if len(self.answer.things) > 1 else ""
+        return f"{self.answer.counted()}{first} at {self.thing.describe()}, {self.answer.remark()}".lstrip()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, as of ``Thing``."""

@@ -43,6 +43,13 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
     return "sure" if score >= constants.SURE else "likely" if score >= constants.LIKELY else "doubtful"
 
 
+def said_score(score: float, present_from: float | None) -> str:
+    """Return a score with two digits, rounded down where a score below a bound would read as one that reaches it."""
+    rounded = float(f"{score:.2f}")
+    bounds = (constants.LIKELY, constants.SURE, present_from or 0.0)
+    return f"{rounded - 0.01 * any(score < bound <= rounded for bound in bounds):.2f}"
+
+
 def check_share(name: str, value: float | None) -> None:
     """Refuse a value that is not a number from 0 to 1; None passes."""
     if value is not None and not (isinstance(value, Real) and 0 <= value <= 1):

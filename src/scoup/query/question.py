@@ -43,6 +43,7 @@ _PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
 class AskedText:
     """A text in the space of embeddings, and the level whose relevancy to it is shown as heat."""
 
+    word: str  # what it is called, such as "mug" for "mugs"
     query: Tensor  # [1, D]
     canonical: Tensor  # [P, D]
     level: int
@@ -105,6 +106,8 @@ class Question(TextVectors, Generic[Asked]):
     something is found for any text."""
     is_single: bool = False
     """It was one text, not a list, and so is the answer."""
+    words: tuple[str, ...] = ()
+    """Of each text, the word that it is a form of (``TextEncoder.word_of``); () if these are the texts."""
     near: tuple[str | None, ...] = ()
     """Of each text, the name of things that is nearly the same (``constants.NEAR_NAME``), if there is one."""
     asked: tuple[tuple[str, Expression], ...] = ()
@@ -137,7 +140,8 @@ class Question(TextVectors, Generic[Asked]):
         """Make a question of texts for several fields; messages about everyday words name their ``source``."""
         vectors = encode_texts(encoder, texts)
         least = presence_threshold(len(vectors.everyday), source, present_from)
-        return cls.from_vectors(vectors.with_everyday(), present_from=least)
+        words = tuple(map(encoder.word_of, texts))
+        return cls.from_vectors(vectors.with_everyday(), present_from=least, words=words)
 
     def shaped(self, results: list[Found]) -> Found | list[Found]:
         """Return the results of all texts, or the only one if the question was one text."""
@@ -146,7 +150,8 @@ class Question(TextVectors, Generic[Asked]):
     def vectors_of(self, number: int, level: int) -> AskedText:
         """Return one of its texts as vectors, at the level that answers it."""
         query = self.queries[number : number + 1].clone()
-        return AskedText(query, self.canonical, level, self.present_from)
+        word = (self.words or self.texts)[number]
+        return AskedText(word, query, self.canonical, level, self.present_from)
 
     def one(self, number: int, **options: Any) -> Question[Asked]:
         """Return the question of one of its texts, with some attributes replaced."""
@@ -154,7 +159,7 @@ class Question(TextVectors, Generic[Asked]):
 
     def some(self, chosen: slice, **options: Any) -> Question[Asked]:
         """Return the question of some of its texts, with some attributes replaced."""
-        some = {"texts": self.texts[chosen], "queries": self.queries[chosen], "near": self.near[chosen]}
+        some = {name: getattr(self, name)[chosen] for name in ("texts", "queries", "near", "words")}
         return replace(self, **{**some, "asked": (), **options})
 
 
@@ -201,6 +206,7 @@ def make_question(
             everything=naming_question(field, encoder) if wants_everything else None,
             frame=frame,
             level=None if level is None else field.level_index(level),
+            words=tuple(map(encoder.word_of, words)) if len(words) <= MOST_TEXTS else (),
             near=_near_names(field, encoder, vectors),
             model=encoder.name or field.embedding_model,
         )

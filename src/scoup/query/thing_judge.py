@@ -254,7 +254,12 @@ class ThingIndex:
         nothing = 0.0 if question.can_judge_presence else None
         verdicts = [Verdict((), (), level, nothing, is_present(nothing, 0, least), None)] * len(choices)
         made = [(scene, choice) for scene, choice in enumerate(choices) if choice is not None]
-        rivals = [(scene, choice.runner_up) for scene, choice in made if choice.runner_up is not None]
+        rivals = [
+            (scene, choice.runner_up)
+            for scene, choice in made
+            if choice.runner_up is not None
+            and float(fits[self.starts[scene] + choice.runner_up]) >= choice.fit - constants.RUNNER_UP
+        ]
         rows = [self.starts[scene] + rival for scene, rival in rivals]
         of_rivals = score.each(fits[rows].tolist(), *zip(*rivals, strict=True)) if rivals else []
         runners_up = {

@@ -1,24 +1,27 @@
 """The names of the things of a scene, and the things that are one object each.
 
 Every thing has a word that fits it best, so this alone names walls "fire extinguisher". A thing and a word have to
-choose each other: the scene's answer to the word contains the thing, and hardly any everyday word is nearer to the
-thing. So whoever asks for a name finds its thing. A thing of another level with the same Gaussians has this name, too;
-everything else is unnamed.
+choose each other: the thing's nearest word is a name only if the scene's answer to it contains the thing. Of many words
+the nearest is wrong in most cases, but what several of the nearest have in common is often right: a broader word, such
+as "footwear" for a sandal. A thing of another level with the same Gaussians has this name, too; everything else is
+unnamed. How well a word fits says nothing about whether it is right, so names have no score.
 
 Things of several levels nest: a part in an object in a group. Of each such tree, those things are the objects whose
-names fit best, each weighed by its share of what it is a part of. Ours; measured in docs/things.md.
+nearest words fit best, named or not, each weighed by its share of what it is a part of. Ours; measured in
+docs/things.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from scoup.field import Field, ThingTable
 from scoup.query import constants
-from scoup.query.answer_scene import each_answer
-from scoup.query.named import less_common, voted_names
+from scoup.query.named import less_common, named_texts, voted_names
 from scoup.query.question import Question
 from scoup.query.thing_judge import ThingIndex, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
@@ -28,13 +31,22 @@ class ThingName(NamedTuple):
     """The name of a thing."""
 
     texts: tuple[str, ...]
-    """Up to three, the best first."""
-    score: float | None
-    """Of the best, for this thing (``Answer.score``)."""
+    """Up to three, the best first; none if only its nearest word is known."""
+    word_score: float | None
+    """As of ``Thing``."""
+
+
+@cache
+def broader_words() -> dict[str, frozenset[str]]:
+    """Return broader words, each with the words below it (broader_words.txt)."""
+    text = Path(__file__).with_name("broader_words.txt").read_text(encoding="utf-8")
+    pairs = (line.split(": ") for line in text.splitlines() if not line.startswith("#"))
+    return {broader: frozenset(words.split(", ")) for broader, words in pairs}
 
 
 def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
-    """Return the names of the things that have one, by their numbers; those that a model gave come first.
+    """Return the names of the things that have one, or whose nearest word's answer contains them, by their numbers;
+    those that a detector gave come first.
 
     Args:
         field: with or without things.
@@ -47,28 +59,34 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     known = thing_index(field, question)
     if known is None:
         return {}
-    queries, everyday = question.queries.float().cpu(), question.compared
-    near = less_common(known.cosines(queries))
-    words = less_common(known.cosines(everyday))
-    candidates: dict[int, list[tuple[float, int]]] = {}
-    for number, answer in enumerate(each_answer(field, question)):
-        for thing in answer.things:
-            fit = near[thing, number]
-            if int((words[thing] > fit + 1e-6).sum()) <= constants.NEARER_WORDS * len(everyday):
-                candidates.setdefault(thing, []).append((-float(fit), number))
-    best = {
-        thing: [number for _, number in sorted(numbers)[: constants.NAMES]]
-        for thing, numbers in candidates.items()
-    }
-    fits = known.fits(queries)
-    scores, names = known.text_scores(question, fits), {}
-    for thing, like in _alike(known, best).items():
-        texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
-        names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))
-    for thing, (texts, voted_score) in voted_names(field, question.texts).items():
-        others = names[thing].texts if thing in names else ()
-        names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[: constants.NAMES], voted_score)
+    texts = question.texts
+    near = less_common(known.cosines(question.queries))
+    nearest = near.topk(min(constants.NEAREST_WORDS, len(texts)), dim=1).indices.tolist()
+    named: dict[int, ThingName] = {}
+    for number, (verdict,) in enumerate(known.judge(question, named_texts(field.thing_table, question))):
+        for thing, score in zip(verdict.things, verdict.scores, strict=True) if verdict.presence else ():
+            if nearest[thing][0] == number:
+                words = [texts[word] for word in nearest[thing]]
+                named[thing] = ThingName(
+                    _broader(words) if len(texts) > constants.SHORT_LIST else (texts[number],), score
+                )
+    names = {thing: named[like] for thing, like in _alike(known, named).items()}
+    for thing, voted in voted_names(field, texts).items():
+        others, score = names.get(thing, ThingName((), None))
+        names[thing] = ThingName(tuple(dict.fromkeys([*voted, *others]))[: constants.NAMES], score)
     return names
+
+
+def _broader(nearest: Sequence[str]) -> tuple[str, ...]:
+    """Return the narrowest broader word of most of the nearest words of a thing, and the nearest of these; () without
+    one."""
+    below = [(len(words), broader) for broader, words in broader_words().items()
+             if len(words.intersection(nearest)) >= constants.IN_COMMON]  # fmt: skip
+    if not below:
+        return ()
+    broader = min(below)[1]
+    own = [word for word in nearest if word in broader_words()[broader]]
+    return tuple(dict.fromkeys([broader, *own]))[: constants.NAMES]
 
 
 def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
@@ -83,20 +101,25 @@ def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
 
 
 def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
-    """Return all things with their best names as ``text`` and the scores of these, or "" and None.
+    """Return all things with their best names as ``text``, or "".
 
     Catalogue, page, agents and comparisons name things by this.
 
     Args:
         field: with or without things.
-        words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
+        words: that may be names (``naming_question``); None: there is no encoder, and only a detector's names are
+            known.
     """
     things = all_things(field)
     if words is None:
         return list(things)
-    names, unnamed = thing_names(field, words), ThingName(("",), None)
-    best = [(thing, names.get(thing.number or 0, unnamed)) for thing in things]
-    return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
+    names, unnamed, voted = thing_names(field, words), ThingName((), None), voted_names(field, words.texts)
+    named = []
+    for thing in things:
+        texts, score = names.get(thing.number or 0, unnamed)
+        by = "detector" if thing.number in voted else "embedding" if texts else ""
+        named.append(replace(thing, text=texts[0] if texts else "", named_by=by, word_score=score))
+    return named
 
 
 def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
@@ -106,7 +129,7 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
 
     Args:
         field: of the things.
-        things: all, with their names as ``text`` and the scores of these.
+        things: all, with their names as ``text``.
     """
     table = field.thing_table
     if table is None:
@@ -114,8 +137,10 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
     wholes, steady = field.kept(find_objects, lambda: _nesting(table))
 
     def is_object(thing: Thing) -> bool:
-        return bool(thing.text) or (
-            (thing.n_regions or 0) >= constants.LEAST_REGIONS and thing.number in steady
+        return (
+            bool(thing.text)
+            or thing.word_score is not None
+            or ((thing.n_regions or 0) >= constants.LEAST_REGIONS and thing.number in steady)
         )
 
     nested = [
@@ -142,7 +167,7 @@ def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]
 
 
 def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
-    """Return the things of each tree, of things and their parts, whose names fit best together."""
+    """Return the things of each tree, of things and their parts, whose nearest words fit best together."""
     index_of = {thing.number: number for number, thing in enumerate(things)}
     parts: list[list[int]] = [[] for _ in things]
     roots = []
@@ -150,9 +175,10 @@ def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
         (parts[index_of[thing.parent]] if thing.parent in index_of else roots).append(number)
 
     def best(number: int) -> tuple[float, list[int]]:
-        """Return the score of a thing, or of the objects in it if their names fit better, and these."""
+        """Return the score of a thing, or of the objects in it if their words fit better, and these."""
         thing = things[number]
-        alone = (1.0 if thing.score is None else thing.score) if thing.text else constants.UNNAMED
+        certain = 1.0 if thing.text else constants.UNNAMED
+        alone = certain if thing.word_score is None else thing.word_score
         below = [best(child) for child in parts[number]]
         sizes = [things[child].n_gaussians / thing.n_gaussians for child in parts[number]]
         together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.named import named_texts, voted_names
-from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
+from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question
 from scoup.query.thing_judge import thing_index
 from scoup.query.votes import true_rows
@@ -53,8 +53,8 @@ class Thing:
     text: str
     """The text it answers, or its name; "" if nothing was asked and no model named it."""
     score: float | None
-    """As of ``Answer``, for this thing alone. None if nothing was asked, with too few everyday words, and for a part of
-    a selection."""
+    """As of ``Answer``, for this thing alone. None of a name, with too few everyday words, and for a part of a
+    selection."""
     position: Tensor
     """[3] float64 world units: the weighted median of its Gaussians."""
     box: OrientedBox
@@ -65,6 +65,11 @@ class Thing:
     """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
     world: WorldFrame = field(default_factory=WorldFrame)
     """That of its field."""
+    named_by: Literal["detector", "embedding", ""] = ""
+    """Where ``text`` comes from if it is a name; "" if it is what was asked, or empty."""
+    word_score: float | None = None
+    """Score of its nearest word, if the answer to it contains the thing, also if that word is no name: objects have
+    larger ones than parts and groups."""
 
     @classmethod
     def of_table(cls, field: Field, numbers: Sequence[int]) -> list[Thing]:
@@ -105,9 +110,9 @@ class Thing:
         return float(self.box.extent.norm())
 
     @property
-    def certainty(self) -> Certainty | None:
-        """Its score in words; None if it has none."""
-        return certainty(self.score, True)
+    def title(self) -> str:
+        """Its text, or its number: "thing 231"."""
+        return self.text or ("part" if self.number is None else f"thing {self.number}")
 
     def __repr__(self) -> str:
         what = f"thing {self.number}" if self.number is not None else "part"
@@ -127,6 +132,7 @@ class Thing:
         return {
             "thing": self.number,
             "text": self.text,
+            **({"named_by": self.named_by} if self.named_by else {}),
             "level": self.level,
             "parent": self.parent,
             "score": None if self.score is None else round(self.score, 4),
@@ -150,9 +156,10 @@ def all_things(field: Field) -> list[Thing]:
     def made() -> list[Thing]:
         counts, voted = table.sums(torch.ones(len(table.owners))), voted_names(field)
         return [
-            replace(thing, text=names[0], score=score)
+            replace(thing, text=voted[number][0], named_by="detector")
+            if (number := thing.number) in voted
+            else thing
             for thing in Thing.of_table(field, (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist())
-            for names, score in [voted.get(thing.number or 0, (("",), None))]
         ]
 
     return field.kept(Thing, made)
@@ -172,7 +179,7 @@ def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
         return _connected_things(field, answer)
     scores = dict(zip(answer.things, answer.scores, strict=True))
     return [
-        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        replace(thing, text=answer.word, score=scores[thing.number or 0])
         for thing in Thing.of_table(field, answer.things)
     ]
 
@@ -192,7 +199,8 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
         return thing
     (score,) = known.text_scores(one, every, named_texts(table, one))
     best_parts = [
-        replace(part, text=text, score=score(fits[best], best)) for part in Thing.of_table(field, [best])
+        replace(part, text=thing.text, score=score(fits[best], best))
+        for part in Thing.of_table(field, [best])
     ]
     return best_parts[0] if best_parts else thing
 
@@ -230,7 +238,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
     ] or heaviest[:1]  # the heaviest if all are small
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
-        replace(thing, text=answer.text)
+        replace(thing, text=answer.word)
         for thing in _parts(field, members, answer.level)
         if thing is not None
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from scoup.field import Field
 from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query import constants
 from scoup.query.answer import Answer
-from scoup.raster import Projection, render_channels, render_colors
+from scoup.query.boxes import PointSets
+from scoup.raster import Projection, region_sums, render_channels, render_colors, render_values
 from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
@@ -27,12 +29,11 @@ LEAST_ALPHA = 0.5  # of a pixel with a depth
 
 
 class ViewRenders:
-    """Colours and depth of one view, rendered when first asked for. The projection is not kept alive."""
+    """Colours and things of one view, rendered when asked for. The projection is not kept alive."""
 
     def __init__(self, field: Field, camera: Camera, projection: Projection) -> None:
         self.field, self.camera = field, camera
         self._projection = weakref.ref(projection)
-        self._depth: Tensor | None = None
 
     def projection(self) -> Projection:
         """Return the projection, made again if it has gone."""
@@ -42,11 +43,31 @@ class ViewRenders:
         """Render the colours, [H, W, 3] float 0..1."""
         return render_colors(self.field.gaussians, self.camera, self.projection())
 
-    def depth(self) -> Tensor:
-        """Render the depth once (``render_depth``)."""
-        if self._depth is None:
-            self._depth = render_depth(self.projection(), self.field.gaussians, self.camera)
-        return self._depth
+    def thing_mask(self, thing: int) -> Tensor:
+        """Return the pixels [H, W] boolean of a thing, on the CPU (``ViewAnswer.mask``)."""
+        table = self.field.thing_table
+        assert table is not None
+        parts = table.members(torch.tensor([thing])), table.owned[int(table.levels[thing])]
+        values = torch.stack([part.cpu() for part in parts], 1).float()
+        image = render_values(self.projection(), values.to(self.field.codebook.device)).cpu()
+        return image[..., 0] > constants.PIXEL_SHARE * image[..., 1]
+
+    def position_of(self, answer: Answer, pixels: Tensor) -> Tensor | None:
+        """Return the weighted median [3] float64 of the Gaussians of the thing that contributes most to some pixels
+        [H, W] boolean, among those that answer; None if none does."""
+        labels = torch.where(pixels, 0, -1).int()[None].to(self.field.codebook.device)
+        rows, _, weights = (part.cpu() for part in region_sums(self.projection(), labels).triplets(0))
+        answering = answer.mask[rows]
+        rows, weights = rows[answering], weights[answering].double()
+        if not len(rows):
+            return None
+        owners = torch.full_like(rows, -1)
+        if answer.things and self.field.thing_table is not None:
+            every = self.field.thing_table.owners[rows].cpu().long()
+            owners = torch.where(torch.isin(every, torch.tensor(answer.things)), every, -1).amax(1)
+        chosen = owners == torch.bincount(owners + 1, weights).argmax() - 1
+        means = self.field.gaussians.means[rows[chosen].to(self.field.gaussians.device)].double().cpu()
+        return torch.from_numpy(PointSets.of_one_thing(means, weights[chosen]).medians()[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +97,7 @@ class ViewAnswer:
     point: tuple[int, int] | None
     """(x, y), the most relevant pixel of the largest part; None if nothing is visible."""
     source: ViewRenders | None = None
-    """Renders colours and depth of the view, for ``pictures`` and ``position``. Pickling drops it."""
+    """Renders the view, for ``pictures`` and ``position``. Pickling drops it."""
 
     @property
     def text(self) -> str:
@@ -110,13 +131,15 @@ class ViewAnswer:
 
     @property
     def position(self) -> Tensor | None:
-        """The middle of the surface that the main parts show, [3] float64 world units; None if nothing is visible or
-        its depth is unknown. ``location`` finds the thing itself, from all sides."""
-        return (
-            None
-            if self.source is None
-            else mask_position(self.main_parts, self.source.depth(), self.source.camera)
-        )
+        """The median of the visible Gaussians of the thing that the main parts show most, [3] float64 world units; None
+        if nothing is visible. ``location`` finds the middle of the thing, from all sides."""
+        return None if self.source is None else self.source.position_of(self.answer, self.main_parts)
+
+    @cached_property
+    def runner_up(self) -> Tensor | None:
+        """[H, W] boolean, the pixels of the runner-up; None without one."""
+        rival = self.answer.runner_up if self.presence else None
+        return None if rival is None or self.source is None else self.source.thing_mask(rival.thing)
 
     def __repr__(self) -> str:
         facts = f"point {self.point}, box {self.box}, {self.remark()}"
@@ -152,7 +175,9 @@ class ViewAnswer:
         return {
             "heat": heat_map(self.heat, rgb, self.text, self.level, float(self.heat.max())),
             "mask": self.mask,
-            "overlay": mask_overlay(self.mask, rgb, self.box, self.point, self.text, self.remark()),
+            "overlay": mask_overlay(
+                self.mask, rgb, self.box, self.point, self.text, self.remark(), other=self.runner_up
+            ),
         }
 
     def crop(self, image: Tensor | ArrayLike | Image, margin: int = 0) -> Tensor | np.ndarray | None:
@@ -240,20 +265,6 @@ def most_relevant_pixel(heat: Tensor, part: Tensor) -> tuple[int, int] | None:
     offsets = pixels.double() - pixels.double().mean(0)
     x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
     return x, y
-
-
-def mask_position(mask: Tensor, depth: Tensor, camera: Camera) -> Tensor | None:
-    """Return the middle of the surface that a mask [H, W] shows, the median of its pixels along each axis, [3] float64
-    world units; None if no pixel of the mask has a depth.
-    """
-    rows, columns = (mask.cpu() & torch.isfinite(depth)).nonzero().unbind(1)
-    if not len(rows):
-        return None
-    distances = depth[rows, columns].double()
-    (fx, _, cx), (_, fy, cy) = camera.K[0].tolist(), camera.K[1].tolist()
-    seen = torch.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, torch.ones(len(rows))], 1).double()
-    rotation, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
-    return ((seen * distances[:, None] - shift) @ rotation).median(0).values
 
 
 def render_depth(projection: Projection, gaussians: Gaussians, camera: Camera) -> Tensor:

@@ -29,7 +29,7 @@ MOST_MARKED = 12
 """Things marked in one picture."""
 WIDEST = 1024
 """Pixels of the longer side of a picture."""
-_OF_TEXTS = ("score", "certainty", "runner_up")
+_OF_TEXTS = ("score", "certainty", "count", "runner_up")
 _COLORS = ((255, 92, 40), (64, 160, 255), (90, 200, 90), (240, 200, 40), (200, 90, 220), (40, 210, 210))
 
 
@@ -76,8 +76,9 @@ class SceneTools:
     def list_things(self, scene: str, level: str | None = None, limit: int = 50) -> dict[str, Any]:
         """List the things of a scene in short, the largest first; `level` keeps those of one level of detail.
 
-        `text` is the name of a thing, if it has one, and `certainty` that of the name; `more` is how many are not
-        listed; `describe_thing` tells the rest of one.
+        `text` is the name of a thing, if it has one; `named_by` says whether a detector gave it or embeddings alone
+        did, which are wrong more often. `count` is how many there are, `more` how many are not listed;
+        `describe_thing` tells the rest of one.
         """
         if level is not None:
             self._field(scene).level_index(level)
@@ -124,9 +125,10 @@ class SceneTools:
         from the camera `seen_from`. A score is the share of everyday words that fit this scene less well than the text,
         0 to 1; null with too few everyday words.
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
-        and the runner-up, the best thing elsewhere. `things` is empty where a text is not here, or where no thing has
-        the relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
-        viewer in the same axes, and `metres_per_unit`; null: lengths are in scene units, and no key ends in `_metres`.
+        how many things it is, and the runner-up: the best thing elsewhere, if it fits nearly as well. `things` is empty
+        where a text is not here, or where no thing has the relation; `remark` says which. `frame` says what positions
+        are in: unit vectors right, up and away from the viewer in the same axes, and `metres_per_unit`; null: lengths
+        are in scene units, and no key ends in `_metres`.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
@@ -211,7 +213,7 @@ class SceneTools:
         return looked_up("scene", scene, self.fields)
 
     def _named(self, scene: str) -> dict[int | None, Thing]:
-        """Return all things by number, the largest first, with their names and the scores of these."""
+        """Return all things by number, the largest first, with their names."""
         field = self._field(scene)
         try:
             words = field.naming_question(self.words)
@@ -230,12 +232,12 @@ def _reply(
     if not 1 <= limit <= MOST_LISTED:
         raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
     listed = [describe(thing) for thing in things[:limit]]
-    return {"more": len(things) - len(listed), "things": listed}
+    return {"count": len(things), "more": len(things) - len(listed), "things": listed}
 
 
 def _name(thing: Thing) -> dict[str, Any]:
-    sure = thing.certainty if thing.text else None
-    return {"thing": thing.number, "text": thing.text, **({} if sure is None else {"certainty": sure})}
+    named_by = {"named_by": thing.named_by} if thing.named_by else {}
+    return {"thing": thing.number, "text": thing.text, **named_by}
 
 
 def _numbered_thing(things: Mapping[int | None, Thing], number: int) -> Thing:

@@ -240,7 +240,8 @@ class ViewedField:
                 "parent": thing.parent,
             }
             facts = {name: record[name] for name in ("position", "box", "gaussians")}
-            rows.append({**row, "name": thing.text or None, **facts, "views": thing.n_regions})
+            name = {"name": thing.text or None, "named_by": thing.named_by}
+            rows.append({**row, **name, **facts, "views": thing.n_regions})
         return rows
 
     def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:
