@@ -13,8 +13,6 @@ from scoup.uplift import constants as of_uplift
 
 TABLES: tuple[ModuleType, ...] = (of_uplift, of_query)
 """The tables of constants, one per room: those that a ``WITHOUT`` names can be left out."""
-SETTINGS = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
-"""The scenes with real models on which constants are left out."""
 WITHOUT = "without "
 """Begins the name of the default way without a constant."""
 

@@ -174,8 +174,6 @@ WITHOUT: dict[str, float] = {
     "PRESENT_FROM": 0.0,
     "OTHER_NAME": 1e9,
     "SAME_WORD": 2.0,
-    "SPECK": 0.0,
-    "AVERAGED": 1,
 }
 """Name -> the value at which the constant has no effect. Others cannot be left out, or count in no scene of the
 study."""

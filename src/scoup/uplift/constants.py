@@ -77,7 +77,6 @@ WITHOUT: dict[str, float] = {
     "LEAST_SHARE": 0.0,
     "MASS": 1.0,
     "MOST_VIEWS": 1 << 30,
-    "MOST_DECIDING": 1 << 60,
     "LEAST_OVERLAP": 0.0,
     "LEAST_REGIONS": 1,
     "INSIDE": 1.0,
