@@ -31,8 +31,6 @@ MOST_DECIDING = 300_000
 """Gaussians that decide, of more every second, third, ...; all have owners. A limit on time."""
 LEAST_IOU = 0.3
 """IoU of clusters of regions; those that overlap less are different things."""
-LEAST_OVERLAP = 0.05
-"""IoU below which regions count as apart: they touch, or one bleeds into the other."""
 LEAST_REGIONS = 2
 """Regions of a thing: one that no other view confirms is not a thing."""
 INSIDE = 0.5
@@ -77,7 +75,6 @@ WITHOUT: dict[str, float] = {
     "LEAST_SHARE": 0.0,
     "MASS": 1.0,
     "MOST_VIEWS": 1 << 30,
-    "LEAST_OVERLAP": 0.0,
     "LEAST_REGIONS": 1,
     "INSIDE": 1.0,
     "PER_SIZE": 1e9,
