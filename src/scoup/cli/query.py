@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, check_output, counted, reported, staged
-from scoup.cli.console import Console, as_json, command
+from scoup.cli.console import Console, as_json, detector_command
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
@@ -202,8 +202,7 @@ class Query:
             console.say(f"in the scene  {place.answer.text}: {at}{place.describe(metres_per_unit)}")
         doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
         if doubtful and self.detector.refine is None:
-            asked = command("query", self.field, *doubtful, "--refine", "owlv2")
-            console.say(f"a detector may decide what is doubtful: {asked}")
+            console.say(f"a detector may decide what is doubtful: {detector_command(self.field, *doubtful)}")
         if self.longest_side is not None:
             console.say(
                 f"the scene's unit is {metres_per_unit:.4g} metres: --metres-per-unit {metres_per_unit:.4g}"

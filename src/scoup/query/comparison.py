@@ -67,10 +67,6 @@ class Comparison:
     transform: Array
     """[4, 4] from the frame of the new capture to that of the old one."""
 
-    def of_kind(self, kind: Kind) -> list[Change]:
-        """Return the changes of a kind."""
-        return [change for change in self.changes if change.kind == kind]
-
     def lengths(self, metres_per_unit: float | None) -> tuple[float | None, float | None]:
         """Return the metres per unit of both captures from those of the old one."""
         return metres_per_unit, metres_per_unit and metres_per_unit * scale_of(self.transform)

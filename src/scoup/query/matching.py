@@ -9,7 +9,8 @@ Such a set is judged by four things:
 * sets of other levels with the same Gaussians count for it: what several levels found is more often what people name.
 
 A set with most of its level's Gaussians has hardly a rival, so it answers only if one of its things fits best of all,
-for a scene may be one object, or where nothing else may. Ours; measured in docs/answers.md.
+for a scene may be one object, or where nothing else may. From the set that was chosen, things go that look unlike the
+first, and things join that look and fit like it (``with_alike``). Ours; measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.nn.functional import cosine_similarity
 
 from scoup.query import constants
 
@@ -37,6 +39,12 @@ class Choice:
     level: int
     fit: float  # the best of theirs
     runner_up: int | None  # the thing elsewhere that fits best; None if there is none
+
+    def of(self, things: list[int], level: int, fits: Tensor) -> Choice:
+        """Return the choice of other things of a scene with fits [T]; the best one that goes is the runner-up."""
+        rival = None if self.runner_up in things else self.runner_up
+        lost = [thing for thing in self.things if thing not in things]
+        return Choice(tuple(things), level, float(fits[things].max()), lost[0] if lost else rival)
 
 
 def choose_things(known: ThingIndex, fits: Tensor, level: int | None = None) -> list[list[Choice | None]]:
@@ -166,3 +174,30 @@ def _choose(
         things, rival = order[scene][text][: ranks[scene][text] + 1], rivals[scene][text]
         kind = wanted[kinds[scene][text]]
         yield scene, text, Choice(tuple(things), kind, fit[scene][text], None if rival < 0 else rival)
+
+
+def with_alike(known: ThingIndex, scene: int, choice: Choice, fits: Tensor) -> Choice:
+    """Return the things of a choice that look like its first one, and others of the level that look and fit like it.
+
+    Things look alike by their embeddings less the mean of the scene. Things stay that are among the few of the level
+    that look most like the first, and all of a large set, for large things are cut into pieces that look unlike.
+    ``fits``: [T] of the scene.
+    """
+    rows, first = slice(*known.starts[scene : scene + 2]), choice.things[0]
+    usable, counts = known.usable[rows], known.counts[rows]
+    level = (usable & (known.levels[rows] == choice.level)).nonzero()[:, 0]
+    least = fits[first] - constants.AS_GOOD * (fits[first] - fits[usable].median())
+    near = fits[level] >= least
+    if len(choice.things) == 1 and near.sum() <= 1:
+        return choice
+    middle, vectors = known.middle(scene), known.vectors[scene]
+    looks = cosine_similarity(vectors[level].float() - middle, vectors[first].float()[None] - middle)
+    looks[level == first] = 2
+    chosen = torch.tensor(choice.things)
+    stays = looks >= looks.topk(1 + int(constants.MOST_ALIKE * len(level))).values[-1]
+    if counts[chosen].sum() > constants.LARGE_SET * counts[level].sum():
+        stays[:] = True
+    member = torch.isin(level, chosen)
+    together = level[member & stays | ~member & near & (looks >= constants.ALIKE)]
+    order = fits[together].argsort(descending=True, stable=True)[: constants.MOST_TOGETHER]
+    return choice.of(together[order].tolist(), choice.level, fits)

@@ -13,8 +13,8 @@ chooses, ``scoup.query.presence`` scores. Ours; measured in docs/answers.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import accumulate, combinations, islice, pairwise
 from typing import Any, NamedTuple
@@ -23,11 +23,11 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from scoup.field import NO_THING, Field, NameTable, ThingTable
+from scoup.field import LEAST_GAUSSIANS, NO_THING, Field, NameTable, ThingTable
 from scoup.models import TextEncoder
 from scoup.query import constants
 from scoup.query.answer import RunnerUp
-from scoup.query.matching import Choice, choose_things
+from scoup.query.matching import Choice, choose_things, with_alike
 from scoup.query.named import Named, find_named, joined
 from scoup.query.presence import TextScore, is_present, text_scores
 from scoup.query.question import Question, TextVectors, check_encoder, near_names
@@ -81,6 +81,7 @@ class ThingIndex:
     hubs: Tensor  # [N] float32, the cosine at ``constants.HUB_QUANTILE``
     shares: Shares
     known_best_fits: Tensor | None = None  # [S, B] float32
+    _middles: dict[int, Tensor] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(
@@ -152,6 +153,13 @@ class ThingIndex:
     def starts(self) -> list[int]:
         """[S + 1] first thing of each scene, and N."""
         return [*accumulate(map(len, self.vectors), initial=0)]
+
+    def middle(self, scene: int) -> Tensor:
+        """Return the mean embedding [D] of the usable things of a scene."""
+        if scene not in self._middles:
+            usable = self.usable[slice(*self.starts[scene : scene + 2])]
+            self._middles[scene] = self.vectors[scene][usable].float().mean(0)
+        return self._middles[scene]
 
     def cosines(self, queries: Tensor) -> Tensor:
         """Return the cosines [N, Q] float32 of all things with unit vectors [Q, D].
@@ -235,27 +243,37 @@ class ThingIndex:
         scores = self.text_scores(question, fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
             text_fits = fits[:, number]
-            for scene, name in named[number].items():
+            by_name = {scene: name for scene, name in named[number].items() if name.is_sure}
+            for scene, name in by_name.items():
                 choice, rows = choices[scene], slice(*self.starts[scene : scene + 2])
-                if choice is not None and name.is_sure:
+                if choice is not None:
                     parts = self.levels[rows], self.usable[rows], text_fits[rows]
                     choices[scene] = joined(choice, name.votes, *parts, question.level)
-            yield self._verdicts(question, choices, text_fits, scores[number])
+            yield self._verdicts(question, choices, text_fits, scores[number], by_name)
 
     def _verdicts(
-        self, question: Question[Any], choices: Sequence[Choice | None], fits: Tensor, score: TextScore
+        self,
+        question: Question[Any],
+        choices: Sequence[Choice | None],
+        fits: Tensor,
+        score: TextScore,
+        by_name: Collection[int],
     ) -> list[Verdict]:
         level, least = question.level or 0, question.present_from
         nothing = 0.0 if question.can_judge_presence else None
         verdicts = [Verdict((), (), level, nothing, is_present(nothing, 0, least), None)] * len(choices)
         made = [(scene, choice) for scene, choice in enumerate(choices) if choice is not None]
+        scores = score.each([choice.fit for _, choice in made], [scene for scene, _ in made])
+        for place, ((scene, choice), value) in enumerate(zip(made, scores, strict=True)):
+            if scene not in by_name and is_present(value, LEAST_GAUSSIANS, least):
+                of_scene = fits[slice(*self.starts[scene : scene + 2])]
+                made[place] = scene, with_alike(self, scene, choice, of_scene)
         rivals = [(scene, choice.runner_up) for scene, choice in made if choice.runner_up is not None]
         rows = [self.starts[scene] + rival for scene, rival in rivals]
         of_rivals = score.each(fits[rows].tolist(), *zip(*rivals, strict=True)) if rivals else []
         runners_up = {
             scene: RunnerUp(rival, value) for (scene, rival), value in zip(rivals, of_rivals, strict=True)
         }
-        scores = score.each([choice.fit for _, choice in made], [scene for scene, _ in made])
         things = [(scene, thing) for scene, choice in made for thing in choice.things]
         rows = [self.starts[scene] + thing for scene, thing in things]
         counts = iter(self.counts[rows].tolist())
