@@ -20,7 +20,7 @@ from scoup.field import NO_THING, ThingTable
 from scoup.query import constants, matching
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
-from scoup.query.matching import choose_things
+from scoup.query.matching import Choice, choose_things, with_alike
 from scoup.query.thing_judge import ThingIndex, thing_index
 from support import altered, examples, things_of
 
@@ -284,6 +284,24 @@ def test_a_field_compares_its_things_with_words_once(asked: Asked, monkeypatch: 
     assert copied is not first
     torch.testing.assert_close(copied.best_fits, first.best_fits)
     assert thing_index(asked.bare, texts) is None
+
+
+@pytest.mark.parametrize(("chosen", "rival", "expected", "lost"), [
+    ([0, 1], 9, [0, 3], 1),  # 1 looks unlike and goes; 3 fits and looks alike and comes, 7 only looks alike
+    ([0, 1, 3, 7], 9, [0, 3, 7], 1),
+    ([0, 1, 2, 4, 5], 9, [0, 1, 3, 2, 4, 5], 9),  # more than a fifth of the level
+    ([0], 3, [0, 3], None),
+    ([0, 3], 9, [0, 3], 9),
+])  # fmt: skip
+def test_things_that_look_alike_answer_together(chosen, rival, expected, lost) -> None:
+    vectors = random_vectors(20, 8)
+    vectors[[3, 7]] = torch.nn.functional.normalize(vectors[:1] + 0.1 * vectors[[3, 7]], dim=1)
+    things = things_of(torch.arange(20).repeat_interleave(10)[:, None], torch.zeros(20), vectors)
+    fits = torch.linspace(0, -2, 20)
+    fits[[0, 1, 3, 7]] = torch.tensor([5, 4.9, 4.8, 3])
+    before = Choice(tuple(chosen), 0, float(fits[chosen[0]]), rival)
+    found = with_alike(compared(things), 0, before, fits)
+    assert (found.things, found.fit, found.runner_up) == (tuple(expected), before.fit, lost)
 
 
 # Answers.
