@@ -21,7 +21,7 @@ from benchmarks.drawn import answers_of, mask_ious, object_ious
 from benchmarks.left_out import TABLES, WITHOUT, left_out, table_of_constant
 from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
 from benchmarks.study import Record, Study
-from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
+from benchmarks.ways import DRAWS, FULL_SIZE, LAYOUTS, WAYS, groups_of
 from scoup.base import looked_up
 from scoup.models import with_everyday
 from scoup.query import constants
@@ -41,8 +41,6 @@ COMPARED = (
     ("default", "paper"),
     ("default", "votes"),
     ("paper", "dense"),
-    *((f"default at {scale}", "default at 1") for scale in ("0.5", "0.35", "0.25")),
-    ("default", "default at 1"),
 )
 
 
@@ -110,7 +108,7 @@ class Answers(Study):
         name, started = way.removeprefix(WITHOUT), time.perf_counter()
         without, method = name != way, WAYS["default" if name != way else way]
         # The longer side of images without a limit is that of the cameras: region sums of this size are kept.
-        scale: Scale = 1.0 if name == "AUTO_SIDE" else "auto" if without else scale_of(way)
+        scale: Scale = 1.0 if name == "AUTO_SIDE" or way in FULL_SIZE else "auto"
         inputs = scene.inputs(scale)
         inputs = replace(inputs, kept_codes=kept) if self.without else inputs
         build = BuildSettings(epochs=self.epochs)
