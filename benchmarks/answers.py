@@ -18,7 +18,7 @@ from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
 from benchmarks.drawn import answers_of, mask_ious, object_ious
-from benchmarks.left_out import TABLES, WITHOUT, left_out, table_of_constant
+from benchmarks.left_out import LEFT_OUT, WITHOUT, left_out, table_of_constant
 from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, FULL_SIZE, LAYOUTS, WAYS, groups_of
@@ -69,7 +69,7 @@ class Answers(Study):
     ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     without: tuple[str, ...] = ()
-    """Constants that TABLES can leave out, or all. Ways are then the default with and without each."""
+    """Constants of LEFT_OUT, or all. Ways are then the default with and without each."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
@@ -83,7 +83,7 @@ class Answers(Study):
 
     def __post_init__(self) -> None:
         if self.without:
-            names = [name for table in TABLES for name in table.WITHOUT]
+            names = [name for of in LEFT_OUT.values() for name in of]
             names = names if self.without == ("all",) else list(self.without)
             object.__setattr__(self, "ways", ("default", *(WITHOUT + name for name in names)))
 

@@ -15,7 +15,7 @@ from benchmarks import answers
 from benchmarks.answer_scenes import DrawName, SceneSize, make_scene
 from benchmarks.embedding_kinds import KINDS, draw_hosts, draw_prototypes
 from benchmarks.kitchen_draws import Truth, make_draw
-from benchmarks.left_out import TABLES
+from benchmarks.left_out import LEFT_OUT
 from benchmarks.study import run
 from benchmarks.ways import WAYS, groups_of
 
@@ -125,7 +125,10 @@ def test_constants_are_left_out_one_at_a_time(tmp_path: Path, monkeypatch: pytes
     assert seen == [(2, 0.5), (1, 0.5), (2, 1.0)]
     assert (constants.LEAST_REGIONS, constants.INSIDE) == (2, 0.5)
     assert set(record["differences"]) == {"default - without LEAST_REGIONS", "default - without INSIDE"}
-    assert len(answers.Answers(without=("all",)).ways) == 1 + sum(len(table.WITHOUT) for table in TABLES)
+    assert len(answers.Answers(without=("all",)).ways) == 1 + sum(map(len, LEFT_OUT.values()))
+    assert all(
+        getattr(table, name) != neutral for table, of in LEFT_OUT.items() for name, neutral in of.items()
+    )
     for unknown in ({"without": ("NEAREST",)}, {"ways": ("defalt",)}):
         with refuses(UnknownNameError):
             run(tiny(**unknown), "answers")

@@ -166,24 +166,3 @@ INNER = (0.02, 0.98)
 """Shares of the Gaussians between which a capture lies."""
 MOST_CHANGES = 0.5
 """Share of the objects, beyond which the frames may differ."""
-
-WITHOUT: dict[str, float] = {
-    "HUB_SHARE": 0.0,
-    "FEW_REGIONS": 0.0,
-    "UNSTABLE": 0.0,
-    "LEAST_STABILITY": 1e-9,
-    "MOST_GAP": 1e9,
-    "MOST_TOGETHER": 1,
-    "SAME_GAUSSIANS": 1.0,
-    "MOST_COVERED": 1.0,
-    "ALIKE": 9.0,
-    "MOST_ALIKE": 0.999,
-    "LARGE_SET": 1.0,
-    "RIVAL": 0.0,
-    "AGREEMENT": 0.0,
-    "PRESENT_FROM": 0.0,
-    "OTHER_NAME": 1e9,
-    "SAME_WORD": 2.0,
-}
-"""Name -> the value at which the constant has no effect. Others cannot be left out, or count in no scene of the
-study."""

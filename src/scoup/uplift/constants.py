@@ -66,20 +66,3 @@ twenty present texts has less than 0.37, the least of what was present when this
 # Codes on another splat.
 NEAREST = 4
 """Gaussians of the field that are tried for each Gaussian of the splat. Not tuned."""
-
-WITHOUT: dict[str, float] = {
-    "AUTO_SIDE": 1 << 30,
-    "SHARPNESS": 0.0,
-    "LEAST_DEVIATION": 1e-9,
-    "SAMPLED_VIEWS": 1 << 30,
-    "LEAST_SHARE": 0.0,
-    "MASS": 1.0,
-    "MOST_VIEWS": 1 << 30,
-    "LEAST_REGIONS": 1,
-    "INSIDE": 1.0,
-    "PER_SIZE": 1e9,
-    "SPACING": 0.0,
-    "KEPT": 0.0,
-}
-"""Name -> the value at which the constant has no effect. Others cannot be left out, or count in no scene of the
-study."""
