@@ -215,8 +215,9 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
 
 def by_relevancy(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
     """Return the scores of the rules that render relevancy, which fields with the same codes share."""
-    for one, of_one in scene.known_relevancy if isinstance(fitted, FittedField) else ():
-        if all(torch.equal(*pair) for pair in zip(codes_of(one), codes_of(fitted), strict=True)):
+    codes = codes_of(fitted) if isinstance(fitted, FittedField) else ()
+    for one, of_one in scene.known_relevancy if codes else ():
+        if all(torch.equal(*pair) for pair in zip(codes_of(one), codes, strict=True)):
             return of_one
     scores, fixed = {"localisation": [], "peak": []}, MASK_RULES["scoup"]
     for frame, view in scene.frames:

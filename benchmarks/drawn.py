@@ -83,7 +83,7 @@ def overlaps(
     mask and the truth, in each labelled view."""
     known = scene.known_overlaps
     keys = {
-        name: (label, *(part.numpy().tobytes() for part in (answers[name].mask, answers[name].counting)))
+        name: (label, answers[name].mask.numpy().tobytes(), answers[name].counting.numpy().tobytes())
         for label, names in scene.names.items()
         for name in names
         if name in answers
