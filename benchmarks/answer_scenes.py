@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from torch import Tensor
 import scoup
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.other_names import names_of
 from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
 from scoup import raster
@@ -24,6 +25,7 @@ from scoup.models import CANONICAL_PHRASES
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import BuildSettings, RegionSums, region_sums
 from scoup.uplift.settings import Scale
+from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene
@@ -64,6 +66,10 @@ class AnswerScene:
     everyday: Tensor  # [B, D] unit vectors of everyday words, the labels among them
     words: tuple[str, ...]  # the everyday words
     absent: tuple[str, ...]  # those of them that nothing in the scene is called
+    names: Mapping[str, tuple[str, ...]]  # label -> all its names among the words, itself first
+    # What was scored before: ways and rules often have the same codes, and give the same answers.
+    known_overlaps: dict[tuple[str, bytes, bytes], list[tuple[int, int]]] = field(default_factory=dict)
+    known_relevancy: list[tuple[FittedField, dict[str, list[float]]]] = field(default_factory=list)
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -180,4 +186,5 @@ def prepared(
         everyday,
         texts.words,
         texts.absent,
+        names_of(labels, texts.words) if name in REAL_SCENES else {label: (label,) for label in labels},
     )

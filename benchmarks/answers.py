@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -11,21 +12,23 @@ from statistics import mean
 from typing import Any, ClassVar
 
 import torch
+from torch import Tensor
 
 from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.drawn import DrawnAnswer, answers_of, mask_ious, object_ious
-from benchmarks.left_out import SETTINGS, TABLES, WITHOUT, left_out, table_of_constant
+from benchmarks.drawn import DrawnAnswer, answers_of, mask_ious, object_ious, question_of
+from benchmarks.left_out import LEFT_OUT, WITHOUT, left_out, table_of_constant
 from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
 from benchmarks.study import Record, Study
-from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
+from benchmarks.ways import DRAWS, FULL_SIZE, LAYOUTS, WAYS, groups_of
 from scoup.base import looked_up
 from scoup.models import with_everyday
 from scoup.query import constants
+from scoup.query.thing_names import broader_words, thing_names
 from scoup.uplift import BuildSettings
 from scoup.uplift.settings import Scale
-from scoup_lab.baselines.fitted import FittedMethod
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.rasterised_scene import Codes
 from scoup_lab.bench import markdown
@@ -33,17 +36,14 @@ from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES
 
-RULES = ("peak", "always", "scene", "asked", "localisation")
+RULES = ("peak", "always", "names", "scene", "asked", "localisation")
 RIGHT_FROM = 0.5
 """Mean IoU over the views of a word from which an answer is right."""
-SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
     ("default", "dense"),
     ("default", "paper"),
     ("default", "votes"),
     ("paper", "dense"),
-    *((f"default at {scale}", "default at 1") for scale in ("0.5", "0.35", "0.25")),
-    ("default", "default at 1"),
 )
 
 
@@ -58,10 +58,11 @@ class Answers(Study):
 
     All ways are scored by the same rules. peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest
     relevancy. always: as `scoup query --always` answers, once in the scene: by things, or without them by the Gaussians
-    above the threshold at which the answer changes least. scene: the same, one IoU per word over all scored views
-    together; what none of them shows counts as wrong. asked: as `scoup query` answers; a text that it calls absent
-    scores 0, and ways that are no field, which cannot judge presence, have none. localisation: by the protocol of
-    LERF-OVS, 1 where the point is right. presence: scores of the labels, and of up to 40 absent words.
+    above the threshold at which the answer changes least. names: the same, the mean over all names that people may
+    use for an object (`benchmarks.other_names`), with real models. scene: as always, one IoU per word over all scored
+    views together; what none of them shows counts as wrong. asked: as `scoup query` answers; a text that it calls
+    absent scores 0, and ways that are no field, which cannot judge presence, have none. localisation: by the protocol
+    of LERF-OVS, 1 where the point is right. presence: scores of the labels, and of up to 40 absent words.
 
     With --without, the default way is compared with itself without the constants named, one at a time.
     """
@@ -71,7 +72,7 @@ class Answers(Study):
     ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     without: tuple[str, ...] = ()
-    """Constants that TABLES can leave out, or all. Scenes are then SETTINGS, ways the default with and without each."""
+    """Constants of LEFT_OUT, or all. Ways are then the default with and without each."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
@@ -81,12 +82,12 @@ class Answers(Study):
     """Folder that contains kitchen/ and clip/, and desk/ and real/ for their scenes."""
 
     rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size")
+    first_seed_alone: ClassVar[frozenset[str]] = frozenset({"paper"})  # minutes a scene
 
     def __post_init__(self) -> None:
         if self.without:
-            names = [name for table in TABLES for name in table.WITHOUT]
+            names = [name for of in LEFT_OUT.values() for name in of]
             names = names if self.without == ("all",) else list(self.without)
-            object.__setattr__(self, "scenes", SETTINGS)
             object.__setattr__(self, "ways", ("default", *(WITHOUT + name for name in names)))
 
     def check(self) -> None:
@@ -110,12 +111,12 @@ class Answers(Study):
         name, started = way.removeprefix(WITHOUT), time.perf_counter()
         without, method = name != way, WAYS["default" if name != way else way]
         # The longer side of images without a limit is that of the cameras: region sums of this size are kept.
-        scale: Scale = 1.0 if name == "AUTO_SIDE" else "auto" if without else scale_of(way)
+        scale: Scale = 1.0 if name == "AUTO_SIDE" or way in FULL_SIZE else "auto"
         inputs = scene.inputs(scale)
         inputs = replace(inputs, kept_codes=kept) if self.without else inputs
         build = BuildSettings(epochs=self.epochs)
         by_seed, size, build_seconds = [], 0.0, 0.0
-        for seed in self.seeds if method.random and way not in SLOW else self.seeds[:1]:
+        for seed in self.seeds if method.random and way not in self.first_seed_alone else self.seeds[:1]:
             with left_out(name) if without else nullcontext():
                 build_started = time.perf_counter()
                 fitted = method.uplift(inputs, MethodSettings(seed, build))
@@ -144,7 +145,7 @@ class Answers(Study):
         return "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES if scores[rule])
 
     def record(self, rows: dict[str, Any]) -> Record:
-        """Return means over scenes, and paired differences: queries are drawn, each scene counting alike."""
+        """Return means over places, and paired differences: words are drawn, for all scenes of a place together."""
         pairs: Record = {}
         scores: Record = {}
         for key, figures in rows.items():
@@ -152,7 +153,9 @@ class Answers(Study):
             pairs[name] = figures["pairs"]
             scores.setdefault(name, {})[way] = figures["scores"]
         groups = groups_of(self.scenes)
-        sets = groups | {"all": list(self.scenes)} if len(groups) > 1 else groups
+        photographed = [name for name in self.scenes if place_of(name) in PHOTOGRAPHED]
+        sets = groups | ({"real photographs": photographed} if photographed else {})
+        sets |= {"all": list(self.scenes)} if len(groups) > 1 else {}
         return {
             "settings": {name: self.settings()[name] for name in self.rows_depend_on},
             "ways": {
@@ -197,14 +200,33 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
     the scene and of those that are not, for fields.
     """
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
-    everyday, fixed = with_everyday(scene.canonical, scene.everyday), MASK_RULES["scoup"]
+    everyday = with_everyday(scene.canonical, scene.everyday)
     labels, absent = tuple(scene.queries), scene.absent[:MOST_ABSENT]
-    answers = answers_of(scene, fitted, labels, everyday)
-    scores["always"], scores["scene"] = mask_ious(scene, answers), object_ious(scene, answers)
+    answers = answers_of(scene, fitted, [name for of in scene.names.values() for name in of], everyday)
+    by_names = mask_ious(scene, answers)
+    scores["always"], scores["scene"] = [of[0] for of in by_names], object_ious(scene, answers)
+    if len(answers) > len(labels):
+        scores["names"] = [mean(of) for of in by_names]
     for found, (_, label) in zip(scores["always"], scene.pairs, strict=True):
         score = answers[label].score
         if score is not None:
             scores["asked"].append(found * float(score >= constants.PRESENT_FROM))
+    scores |= by_relevancy(scene, fitted)
+    of_absent = answers_of(scene, fitted, absent, everyday) if absent else {}
+    presence = {
+        "present": [answers[label].score for label in labels],
+        "absent": [answer.score for answer in of_absent.values()],
+    }
+    return {**scores, "presence": presence, "right": right_answers(scene, fitted, answers, everyday)}
+
+
+def by_relevancy(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
+    """Return the scores of the rules that render relevancy, which fields with the same codes share."""
+    codes = codes_of(fitted) if isinstance(fitted, FittedField) else ()
+    for one, of_one in scene.known_relevancy if codes else ():
+        if all(torch.equal(*pair) for pair in zip(codes_of(one), codes, strict=True)):
+            return of_one
+    scores, fixed = {"localisation": [], "peak": []}, MASK_RULES["scoup"]
     for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
@@ -212,36 +234,56 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
             hit = any_inside(localize(plain[:, position], fixed).pixels, frame.boxes[label])
             scores["localisation"].append(float(hit))
             scores["peak"].append(iou(segment(plain[:, position], fixed).mask, frame.masks[label]))
-    of_absent = answers_of(scene, fitted, absent, everyday) if absent else {}
-    presence = {
-        "present": [answers[label].score for label in labels],
-        "absent": [answer.score for answer in of_absent.values()],
-    }
-    return {**scores, "presence": presence, "right": right_answers(scene, answers)}
+    if isinstance(fitted, FittedField):
+        scene.known_relevancy.append((fitted, scores))
+    return scores
 
 
-def right_answers(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> dict[str, int]:
+def codes_of(fitted: FittedField) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the codebook, and indices and weights of the codes."""
+    return fitted.field.codebook, fitted.field.code_indices, fitted.field.code_weights
+
+
+def right_answers(
+    scene: AnswerScene, fitted: FittedMethod, answers: Mapping[str, DrawnAnswer], everyday: Tensor
+) -> dict[str, int]:
     """Return of how many labels the answer is right, of how many it or the runner-up is, and of how many a runner-up is
-    named beside a right and a wrong answer."""
+    named beside a right and a wrong answer. Of the things that answer rightly: how many have a name that a list of
+    words gives, and how many a right one, of all everyday words (a word that is broader than a right one is right)
+    and of the labels with as many absent words.
+    """
 
     def right(every: Mapping[str, DrawnAnswer]) -> set[str]:
         of_label: dict[str, list[float]] = {}
-        for found, (_, label) in zip(mask_ious(scene, every), scene.pairs, strict=True):
+        for (found, *_), (_, label) in zip(mask_ious(scene, every), scene.pairs, strict=True):
             of_label.setdefault(label, []).append(found)
         return {label for label, found in of_label.items() if mean(found) >= RIGHT_FROM}
 
-    labels = {label for _, label in scene.pairs}
-    named = {label for label in labels if answers[label].runner_up is not None}
-    first = right(answers)
-    both = first | right({label: answer.runner_up or answer for label, answer in answers.items()})
+    labels = tuple(scene.queries)
+    shown = {label: answers[label] for label in labels}
+    named = {label for label in labels if shown[label].runner_up is not None}
+    first = right(shown)
+    both = first | right({label: answer.runner_up or answer for label, answer in shown.items()})
     counts = {
-        "labels": labels,
-        "first": first,
-        "either": both,
-        "beside right": named & first,
-        "beside wrong": named - first,
+        "labels": len(labels),
+        "first": len(first),
+        "either": len(both),
+        "beside right": len(named & first),
+        "beside wrong": len(named - first),
     }
-    return {name: len(some) for name, some in counts.items()}
+    if isinstance(fitted, FittedField):
+        for key, words in (("of all", scene.words), ("of few", (*labels, *scene.absent[: len(labels)]))):
+            asked = replace(question_of(scene, words, everyday), present_from=constants.PRESENT_FROM)
+            names = thing_names(fitted.field, asked)
+            firsts = [(label, thing) for label in first if (thing := shown[label].thing) is not None]
+            texts = {label: names[thing].texts for label, thing in firsts if thing in names}
+            given = {label: some[0] for label, some in texts.items() if some}
+            counts[f"named, {key}"] = len(given)
+            counts[f"rightly, {key}"] = sum(
+                bool({text, *broader_words().get(text, ())}.intersection(scene.names[label]))
+                for label, text in given.items()
+            )
+    return counts
 
 
 def table_of(record: Record, key: str) -> str:
@@ -265,8 +307,11 @@ def difference_cell(values: Sequence[float] | None) -> str:
 def _means(scores: Record, names: Sequence[str], way: str) -> Record:
     found = {}
     for rule in RULES:
-        values = [scores[name][way].get(rule) for name in names]
-        found[rule] = round(mean(mean(each) for each in values), 4) if all(values) else None
+        places: dict[str, list[float]] = {}
+        for name in names:
+            places.setdefault(place_of(name), []).extend(scores[name][way].get(rule) or [math.nan])
+        value = mean(mean(values) for values in places.values())
+        found[rule] = None if math.isnan(value) else round(value, 4)
     return found
 
 
@@ -281,7 +326,7 @@ def _difference(
         values += [a - b for a, b in zip(*both, strict=True)]
         of_pairs = [label for _, label in pairs[name]]
         labels += sorted(set(of_pairs)) if rule == "scene" else of_pairs
-        scenes += [name] * len(both[0])
+        scenes += [place_of(name)] * len(both[0])
     found = bootstrap_interval(values, labels, scenes=scenes)
     return [round(value, 4) for value in (found.mean, found.low, found.high)]
 
@@ -300,8 +345,8 @@ class Real(Answers):
     """Scenes of benchmarks.real_scenes."""
     ways: tuple[str, ...] = ("default", "votes", "paper", "dense")
     """Names of benchmarks.ways.WAYS."""
-    seeds: tuple[int, ...] = (2,)
-    """Of the codebook."""
+
+    first_seed_alone: ClassVar[frozenset[str]] = frozenset({"default"})  # whose things answer alike
 
     def record(self, rows: dict[str, Any]) -> Record:
         """Return figures per scene, none of single words."""
@@ -309,33 +354,43 @@ class Real(Answers):
 
     @staticmethod
     def table(record: Record) -> str:
-        """Return `always` of each way on each scene, bold the best, the means of real and of rendered scenes, and by
-        one IoU per word; then presence."""
-        ways, of = list(record["scenes"]), record["scenes"]
-        groups = {
-            "real": [name for name in of[ways[0]] if place_of(name) in PHOTOGRAPHED],
-            "rendered": [name for name in of[ways[0]] if place_of(name) not in PHOTOGRAPHED],
-        }
-        body = []
-        for kind, names in groups.items():
-            body += [[name, *_best([of[way][name]["always"] for way in ways])] for name in names]
-            for rule, title in {"always": "mean", "scene": "mean, one IoU per word"}.items() if names else ():
-                body.append(
-                    [f"{title}, {kind}", *_best([mean(of[way][n][rule] for n in names) for way in ways])]
-                )
-        right = [[way, name, *map(str, counts.values())] for way, scenes in record.get("right", {}).items()
-                 for name, counts in scenes.items() if counts]  # fmt: skip
-        head = [
-            "way",
-            "words of",
-            "number",
-            "right",
-            "or the runner-up",
-            "named beside right",
-            "beside wrong",
-        ]
-        tables = [markdown(["scene, mIoU", *ways], body), presence_table(record["presence"])]
-        return "\n\n".join([*tables, *([markdown(head, right)] if right else [])])
+        """Return `always` of each way on each scene, bold the best, and means over the places of each kind by several
+        rules; then presence, and counts of right answers, runners-up and names. Without constants: what each gains."""
+        ways, of, body = list(record["scenes"]), record["scenes"], []
+        gains = {pair: each for pair, each in record["differences"].items() if WITHOUT in pair}
+        if gains:
+            return constants_table(record, gains)
+        pair = "default - paper"
+        for kind, group in KINDS_OF_SCENES.items():
+            names = [name for name in of[ways[0]] if (place_of(name) in PHOTOGRAPHED) == (kind == "real")]
+            body += [[name, *_best([of[way][name]["always"] for way in ways]), ""] for name in names]
+            for rule, title in MEANS.items() if names else ():
+                values = [record["ways"][way][group][rule] for way in ways]
+                difference = record["differences"].get(pair, {}).get(group, {}).get(rule)
+                body.append([f"{title}, {kind}", *_best(values), difference_cell(difference)])
+        tables = [markdown(["scene, mIoU", *ways, pair], body), presence_table(record["presence"])]
+        counted = [[name, *map(str, counts.values())] for name, counts in record["right"]["default"].items()]
+        return "\n\n".join([*tables, markdown(["answers of default, words", *COUNTED], counted)])
+
+
+MEANS = {"always": "mean", "names": "mean, all names", "scene": "mean, one IoU per word"}
+COUNTED = (
+    "number", "right", "or the runner-up", "runner-up beside right", "beside wrong", "named, of all words", "rightly",
+    "named, of few words", "rightly",
+)  # fmt: skip
+KINDS_OF_SCENES = {"real": "real photographs", "rendered": "rendered photographs, real models"}
+
+
+def constants_table(record: Record, gains: Record) -> str:
+    """Return what `always` loses without each constant: on average, on real photographs, and where it loses most."""
+    rows = []
+    for pair, each in gains.items():
+        without = pair.removeprefix("default - ")
+        default, other = (record["scenes"][way] for way in ("default", without))
+        lost = [default[name]["always"] - other[name]["always"] for name in default]
+        cells = [difference_cell(each.get(group, {}).get("always")) for group in ("all", "real photographs")]
+        rows.append([without.removeprefix(WITHOUT), *cells, f"{max(lost):+.3f}"])
+    return markdown(["constant", "always, with it", "real photographs", "most"], rows)
 
 
 def _best(values: Sequence[float]) -> list[str]:

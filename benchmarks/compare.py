@@ -199,7 +199,7 @@ def scored(found: Comparison, old: DemoScene, new: DemoScene, truth: Truth, in_p
     }
     figures: Record = {}
     for kind, (true, visible) in places.items():
-        reported = [_instances(change, owners) for change in found.of_kind(kind)]
+        reported = [_instances(change, owners) for change in found.changes if change.kind == kind]
         right = {numbers.pop() for numbers in reported if len(numbers) == 1 and numbers <= true}
         figures[kind] = [len(right), len(reported), 0 if in_part else len(true & visible | right)]
     return figures
@@ -230,5 +230,5 @@ def of_real(name: str, data: Path) -> Record:
     figures: Record = {}
     for pair, (some, others) in halves.items():
         found = compare(scene.field(some), scene.field(others), list(scene.encoder.names or ()))
-        figures[pair] = {kind: [0, len(found.of_kind(kind)), 0] for kind in KINDS}
+        figures[pair] = {kind: [0, sum(change.kind == kind for change in found.changes), 0] for kind in KINDS}
     return figures

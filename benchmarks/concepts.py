@@ -107,7 +107,7 @@ class Concepts(Study):
                 drawn = {text: voted(asked, table, given, text) for text in labels}
                 sure = dict(zip(given.texts, given.presence.tolist(), strict=True))
             figures[way] = {
-                "mIoU": round(mean(mask_ious(scene, drawn)), 4),
+                "mIoU": round(mean(iou for iou, *_ in mask_ious(scene, drawn)), 4),
                 "presence": round(
                     auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),

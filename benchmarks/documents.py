@@ -27,7 +27,7 @@ from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
 from benchmarks.concepts import Concepts
 from benchmarks.documents_chart import bars
-from benchmarks.documents_summaries import ablations, answers, baselines, scales
+from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.extract import Extraction
 from benchmarks.first_words import FirstWords
 from benchmarks.gpu import Gpu
@@ -141,7 +141,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
     "single steps": single_steps,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
-    "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
@@ -161,7 +160,6 @@ HIDDEN = {
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)|relevancy, .*",
     "photographs": "blurred of the chosen",
-    "scales": "scale 0.35",
     "viewer": "exported words.*|program, bytes|scoup info, s",
 }
 """Headings and first cells of the columns and rows that only the record has."""

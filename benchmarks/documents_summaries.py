@@ -51,25 +51,3 @@ def answers(record: Records, name: str, rules: Sequence[str]) -> str:
         for rule in rules
     ]
     return markdown(["scenes", "rule", *ways, *pairs], rows, left=2)
-
-
-def scales(record: Records) -> str:
-    """Return, per set of scenes, the mIoU of full-size region sums and what other scales differ from it."""
-    ways, differences = record("scale")["ways"], record("scale")["differences"]
-    pairs = {"500 pixels (default)": "default"} | {
-        f"scale {way.rpartition(' ')[2]}": way for way in ways if way[-1] != "1" and way != "default"
-    }
-    rows = [
-        [
-            key.removesuffix(", clean"),
-            f"{of['always']:.3f}",
-            *(difference_cell(differences[f"{way} - default at 1"][key]["always"]) for way in pairs.values()),
-        ]
-        for key, of in ways["default at 1"].items()
-    ]
-    large = record("scale_large")
-    for key, of in large["ways"]["default at 1"].items():
-        cell = difference_cell(large["differences"]["default - default at 1"][key]["always"])
-        name = f"{key.removesuffix(', clean')}, 960 x 720"
-        rows.append([name, f"{of['always']:.3f}", cell, *[""] * (len(pairs) - 1)])
-    return markdown(["scenes, `always`", "scale 1", *pairs], rows)

@@ -14,7 +14,6 @@ from scoup.query import Question, constants, select_by_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
-from scoup_lab.evaluate.metrics import iou
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +24,7 @@ class DrawnAnswer:
     counting: Tensor  # [N] boolean, those whose contributions it must exceed half of
     score: float | None = None  # None of ways that are no field
     runner_up: DrawnAnswer | None = None  # that is named beside it
+    thing: int | None = None  # number of the first
 
 
 def question_of(scene: AnswerScene, texts: Sequence[str], everyday: Tensor) -> Question:
@@ -52,7 +52,8 @@ def answers_of(
                 owned = table.owned[int(table.levels[rival.thing])].cpu()
                 other = DrawnAnswer(table.members(torch.tensor([rival.thing])).cpu(), owned)
             counting = counting_gaussians(field, answer)
-            found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, other)
+            first = answer.things[0] if answer.things else None
+            found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, other, first)
         return found
     coded, found = fitted.coded(), {}
     for text, query in zip(texts, question.queries, strict=True):
@@ -61,35 +62,50 @@ def answers_of(
     return found
 
 
-def mask_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[float]:
-    """Return the IoU of the mask of each (frame, label) pair, in the order of ``AnswerScene.pairs``."""
-    found = []
-    for frame, view in scene.frames:
-        masks = drawn_masks([answers[label] for label in frame.labels], view)
-        found += [iou(mask, frame.masks[label]) for label, mask in zip(frame.labels, masks, strict=True)]
-    return found
+def mask_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[list[float]]:
+    """Return the IoU of the mask of each (frame, label) pair, in the order of ``AnswerScene.pairs``, by each name of
+    the label that has an answer."""
+    found = overlaps(scene, answers)
+    return [
+        [1.0 if either == 0 else both / either for both, either in (of[number] for of in found[label])]
+        for number, (frame, _) in enumerate(scene.frames)
+        for label in frame.labels
+    ]
 
 
 def object_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[float]:
     """Return the IoU of each label over all scored views together, in the order of ``AnswerScene.queries``: also over
     those without it, and times the share of the answer's Gaussians that any of them shows."""
-    labels, both, either = (
-        list(scene.queries),
-        torch.zeros(len(scene.queries)),
-        torch.zeros(len(scene.queries)),
-    )
-    for frame, view in scene.frames:
-        nothing = torch.zeros(view.height, view.width, dtype=torch.bool)
-        for place, mask in enumerate(drawn_masks([answers[label] for label in labels], view)):
-            truth = frame.masks.get(labels[place], nothing)
-            both[place] += (mask & truth).sum()
-            either[place] += (mask | truth).sum()
     shown = torch.stack([camera.shows(scene.gaussians.means) for camera in scene.cameras]).any(0)
-    seen = [
-        float((answers[label].mask & shown).sum() / answers[label].mask.sum().clamp(min=1))
-        for label in labels
-    ]
-    return [share * value for share, value in zip(seen, (both / either.clamp(min=1)).tolist(), strict=True)]
+    found = []
+    for label, (of_label, *_) in overlaps(scene, answers).items():
+        both, either = (sum(numbers) for numbers in zip(*of_label, strict=True))
+        seen = float((answers[label].mask & shown).sum() / answers[label].mask.sum().clamp(min=1))
+        found.append(seen * both / max(1, either))
+    return found
+
+
+def overlaps(
+    scene: AnswerScene, answers: Mapping[str, DrawnAnswer]
+) -> dict[str, list[list[tuple[int, int]]]]:
+    """Return, of each label by each of its names that has an answer, the pixels in both and in either of the answer's
+    mask and the truth, in each labelled view."""
+    known = scene.known_overlaps
+    keys = {
+        name: (label, answers[name].mask.numpy().tobytes(), answers[name].counting.numpy().tobytes())
+        for label, names in scene.names.items()
+        for name in names
+        if name in answers
+    }
+    new = {key: name for name, key in keys.items() if key not in known}  # names may have the same answer
+    for frame, view in scene.frames if new else ():
+        nothing = torch.zeros(view.height, view.width, dtype=torch.bool)
+        for key, mask in zip(new, drawn_masks([answers[name] for name in new.values()], view), strict=True):
+            truth = frame.masks.get(key[0], nothing)
+            known.setdefault(key, []).append((int((mask & truth).sum()), int((mask | truth).sum())))
+    return {
+        label: [known[keys[name]] for name in names if name in keys] for label, names in scene.names.items()
+    }
 
 
 def drawn_masks(answers: Sequence[DrawnAnswer], view: raster.Projection) -> list[Tensor]:

@@ -115,5 +115,7 @@ class Photographs(Study):
             embeddings = [pooled.embeddings(level)[0] for level in pooled.levels]
             inputs = replace(scene, embeddings=embeddings).inputs()
             fitted = METHODS["sparse"].uplift(inputs, MethodSettings(SEED))
-            found += mask_ious(scene, answers_of(scene, fitted, tuple(scene.queries), asked))
+            found += [
+                iou for iou, *_ in mask_ious(scene, answers_of(scene, fitted, tuple(scene.queries), asked))
+            ]
         return round(mean(found), 3)

@@ -233,7 +233,7 @@ def noisy_halves(name: str, data: Path) -> tuple[Pair, Record]:
 
 def false_changes(found: Comparison) -> Record:
     """Return the changes of captures between which nothing changed, as ``scored``."""
-    return {kind: [0, len(found.of_kind(kind)), 0] for kind in KINDS}
+    return {kind: [0, sum(change.kind == kind for change in found.changes), 0] for kind in KINDS}
 
 
 def accepted(captures: Mapping[str, Pair]) -> Record:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from benchmarks.answer_scenes import DrawName
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.real_scenes import PHOTOGRAPHED, REAL_SCENES, place_of
-from scoup.uplift.settings import Scale
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.sparse import SparseUplift
@@ -19,19 +18,10 @@ WAYS = {
     "paper": METHODS["paper"],
     "votes": Method("votes", SparseUplift(things=False)),
     "default": METHODS["sparse"],
-    **{
-        name: Method(name, SparseUplift(scale=scale))
-        for scale in (1.0, 0.5, 0.35, 0.25)
-        for name in [f"default at {scale:g}"]
-    },
 }
-"""By name; "votes" is the default without things, "default at 0.5" the default with region sums at this scale."""
-
-
-def scale_of(way: str) -> Scale:
-    """Return the scale of the region sums that a way reads."""
-    uplift = WAYS[way].uplift
-    return uplift.changes.get("scale", "auto") if isinstance(uplift, SparseUplift) else 1.0
+"""By name; "votes" is the default without things."""
+FULL_SIZE = ("dense", "paper")
+"""Those that read region sums of whole images."""
 
 
 def groups_of(scenes: Sequence[str]) -> dict[str, list[str]]:

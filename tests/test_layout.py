@@ -218,13 +218,10 @@ def test_verbs_only_call_the_library() -> None:
 @pytest.mark.parametrize(
     "name", [room for room in sorted(floors()) if (PRODUCT / room / "constants.py").exists()]
 )
-def test_what_can_be_left_out_is_in_the_table_alone(name: str) -> None:
+def test_constants_are_in_the_table_alone(name: str) -> None:
     """A copy would stay as it is when a constant is left out."""
     room, table = (importlib.import_module(f"scoup.{name}{part}") for part in ("", ".constants"))
-    names = {name for name in vars(table) if name.isupper() and name != "WITHOUT"}
-    assert set(vars(table).get("WITHOUT", {})) < names
-    for name, neutral in vars(table).get("WITHOUT", {}).items():
-        assert getattr(table, name) != neutral
+    names = {name for name in vars(table) if name.isupper()}
     for found in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
         module = importlib.import_module(found.name)
         copies = [name for name in vars(module).keys() & names if vars(module)[name] is vars(table)[name]]

@@ -73,7 +73,7 @@ def test_doubtful_answers_come_with_a_command(monkeypatch: pytest.MonkeyPatch) -
             for line in printed("query", "f.scoup", *TEXTS, *words, "--always", *NO_PICTURES).splitlines()
             if "--refine" in line
         ]
-        said = command("query", "f.scoup", *doubtful, "--refine", "owlv2")
+        said = f"{command('query', 'f.scoup', *doubtful, '--refine', 'owlv2')} (12 photographs: minutes on a CPU)"
         assert lines == ([f"a detector may decide what is doubtful: {said}"] if doubtful else [])
 
 

@@ -179,6 +179,11 @@ def test_the_verb_asks_what_the_model_sees(tmp_path: Path, monkeypatch: pytest.M
     query = ("query", path, "lamp", "--text", words, "--pictures", "none")
     # The second time, the file has not changed.
     for thing, options in ((BALL, ("--refine", "owlv2")), (LAMP, ())):
-        said = run_json(*query, "--out", tmp_path / str(thing), *options)
+        said = run_json(*query, "--out", tmp_path / str(thing), "--camera", "all", *options)
         assert ('"rendered": 2' in json.dumps(said)) == (thing == BALL)
         assert said["places"][0]["things"] == [thing]
+        expected = (refine(field, "lamp", "owlv2").field if options else field).answer("lamp")
+        judged = [
+            {of[key] for of in said["places"] + said["answers"]} for key in ("score", "present", "certainty")
+        ]
+        assert judged == [{round(expected.score or 0, 4)}, {expected.presence}, {expected.certainty}]

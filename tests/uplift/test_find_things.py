@@ -18,7 +18,7 @@ from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base import spread
 from scoup.field import NO_THING, Field, ThingTable
 from scoup.scene import Cameras, RegionMap
-from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS
+from scoup.uplift.constants import LEAST_IOU, LEAST_REGIONS
 from scoup.uplift.field_build import build
 from scoup.uplift.merging import ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
@@ -78,12 +78,12 @@ def literal_clusters(
     root, seen = roots(matrix), roots_of_views(matrix, views)
     overlap, union = np.zeros((count, count)), np.zeros((count, count))
     for one, other in itertools.product(range(count), repeat=2):
-        shared = 0.0 if views[one] == views[other] else float((root[:, one] * root[:, other]).sum())
-        union[one, other] = root[:, one] @ seen[:, other] + root[:, other] @ seen[:, one] - shared
-        if shared > LEAST_OVERLAP * union[one, other]:
-            overlap[one, other] = shared
-        else:
-            union[one, other] += shared
+        overlap[one, other] = (
+            0.0 if views[one] == views[other] else float((root[:, one] * root[:, other]).sum())
+        )
+        union[one, other] = (
+            root[:, one] @ seen[:, other] + root[:, other] @ seen[:, one] - overlap[one, other]
+        )
     members = {region: [region] for region in range(count)}
     while True:
         found = []

@@ -22,7 +22,7 @@ from scoup.cli.build_options import (
     report_field,
     with_frame_of,
 )
-from scoup.cli.console import Console, command, kept
+from scoup.cli.console import Console, command, detector_command, kept
 from scoup.cli.options import CLIP_MODEL, AllCommon, PhotographMasks, arg
 
 if TYPE_CHECKING:
@@ -101,11 +101,12 @@ class Build:
         kept_sums, seconds = sums if self.region_sums.keep_sums else None, time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
+        doubt = ""
         if field.thing_table is not None:
             things = field.thing_table.to("cpu")
             if doubt := doubt_of(things.owners.numpy(), things.levels.numpy()):
                 console.say(f"{doubt} (docs/answers.md#where-a-field-is-unsure)")
-        console.say(whole + _suggestion(field, out))
+        console.say(whole + _suggestion(field, out, bool(doubt)))
         return None
 
     def _out(self) -> Path:
@@ -320,14 +321,15 @@ class Build:
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
 
 
-def _suggestion(field: Field, out: Path) -> str:
+def _suggestion(field: Field, out: Path, doubtful: bool) -> str:
     """Return the next command for a field: a query only if the field names a text encoder."""
     from scoup.models import words_problem
 
     model = field.embedding_model
     if field.info.words is None and (not model or words_problem(model)):
         return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"
-    return f"ask it: {command('query', out, 'WORD')}, or {command('view', out)}"
+    asked = detector_command(out, "WORD") if doubtful else command("query", out, "WORD")
+    return f"ask it: {asked}, or {command('view', out)}"
 
 
 def _usual_model(regions: Regions) -> str:

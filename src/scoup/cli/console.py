@@ -190,6 +190,11 @@ def kept(views: str) -> str:
     return f"{views} are kept, run the same command again to continue"
 
 
+def detector_command(field: object, *texts: str) -> str:
+    """Return the command that lets a detector decide, and what it costs."""
+    return f"{command('query', field, *texts, '--refine', 'owlv2')} (12 photographs: minutes on a CPU)"
+
+
 def command(*words: object) -> str:
     """Return a command of scoup as a shell takes it, to be suggested in a message."""
     return shlex.join(["scoup", *map(str, words)])

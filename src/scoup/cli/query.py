@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import as_json, check_output, counted, reported, staged
-from scoup.cli.console import Console, command
+from scoup.cli.console import Console, detector_command
 from scoup.cli.options import (
     AllCommon,
     FieldFile,
@@ -175,8 +175,7 @@ class Query:
             console.say(f"in the scene  {place.answer.text}: {place.describe()}")
         doubtful = [place.answer.text for place in places if place.answer.certainty == "doubtful"]
         if doubtful and self.detector.refine is None:
-            asked = command("query", self.field, *doubtful, "--refine", "owlv2")
-            console.say(f"a detector may decide what is doubtful: {asked}")
+            console.say(f"a detector may decide what is doubtful: {detector_command(self.field, *doubtful)}")
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")

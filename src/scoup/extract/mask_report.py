@@ -44,7 +44,7 @@ def report_masks(
             warnings.simplefilter("ignore")
             pixels = read_photograph(item.path, 270, item.mask, item.masks_keep)
             hidden = np.zeros((1, 1)) if pixels.masked is None else pixels.as_stored(pixels.masked)
-            spots = places[item.path] if item.path in places else _MIDDLE
+            spots = found if (found := places.get(item.path)) is not None else _MIDDLE
             columns, rows = (spots * hidden.shape[::-1]).astype(int).T
             shares.append((hidden.mean(), hidden[rows, columns].mean()))
     share, of_scene = np.mean(shares, 0) if shares else (0.0, 0.0)

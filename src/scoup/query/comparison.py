@@ -72,10 +72,6 @@ class Comparison:
     world: WorldFrame
     """That of the old capture."""
 
-    def of_kind(self, kind: Kind) -> list[Change]:
-        """Return the changes of a kind."""
-        return [change for change in self.changes if change.kind == kind]
-
     def describe(self, change: Change) -> str:
         """Return the kind of a change in words, and how far the object moved."""
         far = "" if change.distance is None else f" by {self.world.lengths([change.distance])}"

@@ -184,23 +184,3 @@ LEAST_AGREEING, AGREEING_SHARE = 4, 0.15
 share. Where they were tuned, at most 14 of 127 agreed by chance, and at least 53 of 203 in one place."""
 SAME_RESIDUAL = 1.1
 """Two captures share a frame if the identity has at most this multiple of the residual."""
-
-WITHOUT: dict[str, float] = {
-    "HUB_SHARE": 0.0,
-    "FEW_REGIONS": 0.0,
-    "UNSTABLE": 0.0,
-    "LEAST_STABILITY": 1e-9,
-    "MOST_GAP": 1e9,
-    "MOST_TOGETHER": 1,
-    "SAME_GAUSSIANS": 1.0,
-    "MOST_COVERED": 1.0,
-    "RIVAL": 0.0,
-    "AGREEMENT": 0.0,
-    "PRESENT_FROM": 0.0,
-    "OTHER_NAME": 1e9,
-    "SAME_WORD": 2.0,
-    "SPECK": 0.0,
-    "AVERAGED": 1,
-}
-"""Name -> the value at which the constant has no effect. Others cannot be left out, or count in no scene of the
-study."""

@@ -38,6 +38,12 @@ class Choice:
     fit: float  # the best of theirs
     runner_up: int | None  # the thing elsewhere that fits best; None if there is none
 
+    def of(self, things: list[int], level: int, fits: Tensor) -> Choice:
+        """Return the choice of other things of a scene with fits [T]; the best one that goes is the runner-up."""
+        rival = None if self.runner_up in things else self.runner_up
+        lost = [thing for thing in self.things if thing not in things]
+        return Choice(tuple(things), level, float(fits[things].max()), lost[0] if lost else rival)
+
 
 def choose_things(known: ThingIndex, fits: Tensor, level: int | None = None) -> list[list[Choice | None]]:
     """Return the things that answer each text in each scene.

@@ -90,7 +90,8 @@ def joined(
         return choice
     chosen = votes[things]
     if chosen.max() >= constants.AGREES * most:
-        return _chosen(choice, things[chosen >= constants.TOGETHER * chosen.max()], levels, fits)
+        things = things[chosen >= constants.TOGETHER * chosen.max()]
+        return choice.of(things.tolist(), int(levels[things[0]]), fits)
     best = fits[usable].max()
     # A thing that fits like the median thing has e times fewer votes than the best one; in logarithms, as votes
     # underflow where most things fit alike.
@@ -100,14 +101,7 @@ def joined(
     )
     things = together.nonzero()[:, 0]
     things = things[lowered[things].argsort(descending=True, stable=True)]
-    return _chosen(choice, things, levels, fits)
-
-
-def _chosen(choice: Choice, chosen: Tensor, levels: Tensor, fits: Tensor) -> Choice:
-    things = tuple(chosen.tolist())
-    rival = None if choice.runner_up in things else choice.runner_up
-    lost = [thing for thing in choice.things if thing not in things]
-    return Choice(things, int(levels[chosen[0]]), float(fits[chosen].max()), lost[0] if lost else rival)
+    return choice.of(things.tolist(), int(levels[things[0]]), fits)
 
 
 def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int, tuple[str, ...]]:

@@ -118,12 +118,8 @@ class TextScore:
         named: Mapping[int, Named] | None = None,
         nearer: Callable[[int], Tensor] | None = None,
     ) -> None:
-        self._best, self._others, self._named, self._nearer = (
-            best_fits[:, others],
-            others,
-            named or {},
-            nearer,
-        )
+        self._best, self._others = best_fits[:, others], others
+        self._named, self._nearer = named or {}, nearer
         self._most: dict[int, float] = {}
 
     def __call__(self, fit: float, thing: int | None = None) -> float | None:

@@ -31,8 +31,6 @@ MOST_DECIDING = 300_000
 """Gaussians that decide, of more every second, third, ...; all have owners. A limit on time."""
 LEAST_IOU = 0.3
 """IoU of clusters of regions; those that overlap less are different things."""
-LEAST_OVERLAP = 0.05
-"""IoU below which regions count as apart: they touch, or one bleeds into the other."""
 LEAST_REGIONS = 2
 """Regions of a thing: one that no other view confirms is not a thing."""
 INSIDE = 0.5
@@ -68,22 +66,3 @@ twenty present texts has less than 0.37, the least of what was present when this
 # Codes on another splat.
 NEAREST = 4
 """Gaussians of the field that are tried for each Gaussian of the splat. Not tuned."""
-
-WITHOUT: dict[str, float] = {
-    "AUTO_SIDE": 1 << 30,
-    "SHARPNESS": 0.0,
-    "LEAST_DEVIATION": 1e-9,
-    "SAMPLED_VIEWS": 1 << 30,
-    "LEAST_SHARE": 0.0,
-    "MASS": 1.0,
-    "MOST_VIEWS": 1 << 30,
-    "MOST_DECIDING": 1 << 60,
-    "LEAST_OVERLAP": 0.0,
-    "LEAST_REGIONS": 1,
-    "INSIDE": 1.0,
-    "PER_SIZE": 1e9,
-    "SPACING": 0.0,
-    "KEPT": 0.0,
-}
-"""Name -> the value at which the constant has no effect. Others cannot be left out, or count in no scene of the
-study."""

@@ -54,9 +54,8 @@ def merge_regions(
     above = (first < second) & (views[first] != views[second])
     first, second, overlaps = first[above], second[above], overlap.data[above]
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps
-    keep = overlaps > constants.LEAST_OVERLAP * union
-    pairs = np.stack([first[keep], second[keep]], 1)
-    labels = _agglomerate(pairs, overlaps[keep], union[keep], reach.copy(), views, least_iou)
+    pairs = np.stack([first, second], 1)
+    labels = _agglomerate(pairs, overlaps, union, reach.copy(), views, least_iou)
     same = labels[first] == labels[second]
     shared = 2.0 * np.bincount(labels[first[same]], overlaps[same], labels.max() + 1)
     return labels, _stability(labels, shared, reach, views)
