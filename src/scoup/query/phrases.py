@@ -68,6 +68,19 @@ KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
     f"{', '.join(SIDES[:-1])} or {SIDES[-1]}; double quotes keep a text as it is"
 )
+WORDS = {
+    "relations": RELATIONS,
+    "sides": SIDES,
+    "sizes": SIZES,
+    "ordinals": ORDINALS,
+    "unknown": sorted(_UNKNOWN),
+    "anything": sorted(_ANYTHING),
+    "fillers": _FILLERS,
+    "articles": sorted(ARTICLES),
+    "operators": OPERATORS,
+    "phrases": KNOWN_PHRASES,
+}
+"""The words of the grammar, for pages that parse phrases themselves (viewer/src/phrases.ts)."""
 
 
 @dataclass(frozen=True)
