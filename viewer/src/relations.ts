@@ -9,12 +9,7 @@ export type Found = Map<number, string>;
 export type Rules = Record<"CLEAR" | "OVER_PART" | "CONTACT" | "NEAR", number> & { BETWEEN: number[] };
 
 /** Which sets of Gaussians answer, 1 or 0, with the things that may, and those under “not”. */
-interface Selected {
-  mask: Uint8Array;
-  things: Found;
-  excluded: Found;
-}
-
+type Selected = [mask: Uint8Array, things: Found, excluded: Found];
 /** Along right, up and away. */
 type Shape = Record<"low" | "high" | "middle" | "extent", number[]>;
 
@@ -68,13 +63,10 @@ export class Relations {
    * @param partOf - the part of a thing that fits a text best; null if things of other levels do not answer
    */
   evaluate(root: Node, words: Map<string, number[]>, partOf: ((text: string, thing: number) => number) | null) {
-    const leaves = leavesOf(root);
-    const things = new Map([["", this.objects]]);
-    for (const [text, numbers] of words) things.set(text, new Map(numbers.map((number) => [number, text])));
-    const { mask, ...selected } = this.select(root, (leaf) => this.resolve(leaf, partOf ? this.apart(leaf, things, partOf) : things));
-    const candidates = leaves.some(([, sign]) => sign) ? selected.things : this.objects;
-    const found = new Map([...candidates].filter(([thing]) => 2 * this.count(thing, mask) > this.count(thing)));
-    const without = [...selected.excluded.keys()].filter((thing) => !found.has(thing)).sort((a, b) => a - b);
+    const things = new Map([["", this.objects], ...[...words].map(([text, numbers]) => [text, new Map(numbers.map((number) => [number, text]))] as const)]);
+    const [mask, may, excluded] = this.select(root, (leaf) => this.resolve(leaf, partOf ? this.apart(leaf, things, partOf) : things));
+    const found = new Map([...(leavesOf(root).some(([, sign]) => sign) ? may : this.objects)].filter(([thing]) => 2 * this.count(thing, mask) > this.count(thing)));
+    const without = [...excluded.keys()].filter((thing) => !found.has(thing)).sort((a, b) => a - b);
     return { found, without, gaussians: mask.reduce((sum, bit, set) => sum + bit * this.counts[set], 0) };
   }
 
@@ -96,12 +88,11 @@ export class Relations {
   private select(node: Node, resolve: (leaf: Target) => Found): Selected {
     if (typeof node === "string" || !("operator" in node)) {
       const things = resolve(node);
-      return { mask: this.maskOf(things.keys()), things, excluded: new Map() };
+      return [this.maskOf(things.keys()), things, new Map()];
     }
-    const [one, other] = node.parts.map((part) => this.select(part, resolve));
-    if (node.operator === "not") return { mask: one.mask.map((bit) => 1 - bit), things: one.excluded, excluded: one.things };
-    const mask = one.mask.map((bit, set) => (node.operator === "and" ? bit & other.mask[set] : bit | other.mask[set]));
-    return { mask, things: both(one.things, other.things), excluded: both(one.excluded, other.excluded) };
+    const [[mask, things, excluded], other] = node.parts.map((part) => this.select(part, resolve));
+    if (node.operator === "not") return [mask.map((bit) => 1 - bit), excluded, things];
+    return [mask.map((bit, set) => (node.operator === "and" ? bit & other[0][set] : bit | other[0][set])), both(things, other[1]), both(excluded, other[2])];
   }
 
   /** The things of each text; where one contains a thing of another text of a phrase, the parts that fit better instead. */

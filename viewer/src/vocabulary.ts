@@ -5,24 +5,15 @@ import { isSeen, Relations, type Rules } from "./relations";
 import type { Packed } from "./safetensors";
 import { NO_OWNER, type Thing } from "./scene_data";
 
-/** Of `scoup.view.vocabulary.words_data`; the last three are of a field with things. */
-export interface WordsMetadata {
-  names: string[];
-  /** Scores in words, which the tensor of that name counts. */
-  certainties: string[];
-  /** Certainty and score of each word. */
-  remarks: string[];
-  grammar?: Grammar;
-  rules: Rules;
-  seen_from: string;
-}
+/** Of `scoup.view.vocabulary.words_data`: remarks are certainty and score of each word. Fields without things have no grammar. */
+export type WordsMetadata = Record<"names" | "certainties" | "remarks", string[]> & { grammar?: Grammar; rules: Rules; seen_from: string };
 
 export class Vocabulary {
   private readonly metadata: WordsMetadata;
   private readonly folded: string[];
   private readonly parser: Parser | null;
   private readonly relations: Relations | null;
-  private readonly names: Map<number, string>;
+  /** Where the things of each word and level start. */
   private readonly starts = [0];
 
   constructor(
@@ -32,9 +23,8 @@ export class Vocabulary {
     this.metadata = words.metadata as WordsMetadata;
     const { names, grammar, rules } = this.metadata;
     this.folded = names.map((name) => name.toLowerCase());
-    this.names = new Map(things.map(({ number, name }) => [number, name ?? ""]));
     this.parser = grammar ? new Parser(grammar, this.folded) : null;
-    this.relations = grammar ? new Relations(words.tensors, rules, this.names) : null;
+    this.relations = grammar ? new Relations(words.tensors, rules, new Map(things.map(({ number, name }) => [number, name ?? ""]))) : null;
     for (const count of words.tensors.get("thing_counts")?.data ?? []) this.starts.push(this.starts[this.starts.length - 1] + count);
   }
 
@@ -47,7 +37,7 @@ export class Vocabulary {
 
   private rowOf(text: string): number {
     const row = this.folded.indexOf(wordForms(text).find((form) => this.folded.includes(form)) ?? "\0");
-    if (row < 0) throw new Error(unknown(text, this.metadata.names));
+    if (row < 0) throw new Error(unknown(text, this.metadata.names) + (this.parser ? "" : " This field has no things, so pages answer single texts only."));
     return row;
   }
 
@@ -138,26 +128,11 @@ function wordForms(text: string): string[] {
   return [folded, bare, bare.replace(/s$/, ""), bare.replace(/es$/, ""), bare.replace(/ies$/, "y")];
 }
 
-/** What is said of a word that the page does not know, with the nearest that it knows. */
+/** What is said of a word that the page does not know, with those that share most pairs of letters with it. */
 function unknown(text: string, names: string[]): string {
-  const wanted = text.trim().toLowerCase();
-  const near = names
-    .map((name) => ({ name, distance: editDistance(wanted, name.toLowerCase()) }))
-    .sort((a, b) => a.distance - b.distance)
-    .slice(0, 4)
-    .map(({ name }) => `“${name}”`);
-  return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.join(", ")}.`;
-}
-
-function editDistance(a: string, b: string): number {
-  let row = Array.from({ length: b.length + 1 }, (_, j) => j);
-  for (let i = 1; i <= a.length; i++) {
-    const next = [i];
-    for (let j = 1; j <= b.length; j++) {
-      next[j] = Math.min(row[j] + 1, next[j - 1] + 1, row[j - 1] + (a[i - 1] === b[j - 1] ? 0 : 1));
-    }
-    row = next;
-  }
-  // A word that holds the other is near, however much longer it is.
-  return row[b.length] - (b.includes(a) || a.includes(b) ? Math.max(a.length, b.length) : 0);
+  const pairs = (word: string) => [...word.toLowerCase()].map((letter, at, all) => letter + (all[at + 1] ?? ""));
+  const wanted = new Set(pairs(text));
+  const nearness = (name: string) => pairs(name).filter((pair) => wanted.has(pair)).length / Math.min(wanted.size, name.length);
+  const near = [...names].sort((one, other) => nearness(other) - nearness(one)).slice(0, 4);
+  return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.map((name) => `“${name}”`).join(", ")}.`;
 }
