@@ -2,17 +2,10 @@
 
 /** Of `scoup.query.phrase_data`: words, a pattern of names that would be read as phrases, and what can be asked, for messages. */
 export type Grammar = { relations: Record<string, string[]>; sizes: Record<string, string> } & Record<"whole" | "phrases" | "usage", string> &
-  Record<"sides" | "ordinals" | "unknown" | "anything" | "fillers" | "articles" | "operators", string[]>;
+  Record<"sides" | "ordinals" | "unknown" | "anything" | "fillers" | "articles" | "operators" | "beginnings" | "forms", string[]>;
 
 /** A text, or any object, and the relation and order that single out some of its things. */
-export interface Phrase {
-  text: string;
-  relation: string;
-  anchors: Target[];
-  order: string;
-  rank: number;
-}
-
+export type Phrase = { text: string; relation: string; anchors: Target[]; order: string; rank: number };
 export type Target = string | Phrase;
 export type Node = Target | { operator: string; parts: Node[] };
 
@@ -33,17 +26,15 @@ const plain = (text: string): string => text.replaceAll("\0", " ").trim().replac
 export class Parser {
   private rest: string[] = [];
   private source = "";
-  /** Words of all relations as a pattern, and those of several words. */
-  private readonly forms: string;
-  private readonly longForms: string;
+  /** The words of any relation. */
+  private readonly form: string;
 
   /** @param names - without capitals: they are taken whole */
   constructor(
     private readonly grammar: Grammar,
     private readonly names: string[],
   ) {
-    const forms = Object.values(grammar.relations).flat().sort((a, b) => b.length - a.length);
-    [this.forms, this.longForms] = [forms, forms.filter((form) => form.includes(" "))].map((some) => some.join("|"));
+    this.form = grammar.forms.join("|");
   }
 
   /** What a text means, and the text with quotes around names that would be read as phrases. */
@@ -77,7 +68,7 @@ export class Parser {
     let isOne = true;
     while (operators.includes(this.rest[0])) {
       const operator = this.rest.shift()!;
-      const begins = new RegExp(`^=(?:${this.forms}) `, "i").test(this.rest.find((token) => token !== "not") ?? "");
+      const begins = new RegExp(`^=(?:${this.form}) `, "i").test(this.rest.find((token) => token !== "not") ?? "");
       const [right, next] = part(begins ? about : "");
       node = { operator: operator === "and" || operator === "-" ? "and" : "or", parts: [node, operator === "-" ? { operator: "not", parts: [right] } : right] };
       if (!isAnd || !begins || !about) [about, isOne] = [next, false];
@@ -105,7 +96,7 @@ export class Parser {
   private target(text: string, depth: number): Target {
     const { fillers, anything, relations, unknown, phrases } = this.grammar;
     if (depth > 8) throw new Error(`${this.source}: more than 8 relations within each other; ask for fewer at a time`);
-    const [, before = text, form = "", after = ""] = new RegExp(`^(.+?) (${this.forms}|${unknown.join("|")})(?: (.*)|$)`, "i").exec(text) ?? [];
+    const [, before = text, form = "", after = ""] = new RegExp(`^(.+?) (${this.form}|${unknown.join("|")})(?: (.*)|$)`, "i").exec(text) ?? [];
     const relation = Object.keys(relations).find((name) => relations[name].includes(form.toLowerCase())) ?? "";
     if (form && !relation) throw this.refusal(`unknown relation '${form.toLowerCase()}'`, phrases);
     const [head, order, rank] = this.ordered(before);
@@ -122,7 +113,7 @@ export class Parser {
 
   private noun(text: string): string {
     const bare = text.replace(new RegExp(`^(?:${this.grammar.articles.join("|")})(?: |$)`, "i"), "").replace(/(?<!\0\S*)[,;.]+$/, "");
-    const isUnfinished = new RegExp(`^(?:(?:${this.forms})$|(?:${this.longForms}) )`, "i").test(bare);
+    const isUnfinished = new RegExp(`^(?:(?:${this.form})$|${this.grammar.beginnings.join("|")})`, "i").test(bare);
     if (isUnfinished || !plain(bare)) throw this.refusal("a thing is missing", this.grammar.phrases);
     return plain(bare);
   }

@@ -4,8 +4,7 @@ import type { Tensor, TensorData } from "./safetensors";
 import { NO_OWNER } from "./scene_data";
 
 /** Numbers of things, and the text that each answers, or its name. */
-export type Found = Map<number, string>;
-
+type Found = Map<number, string>;
 export type Rules = Record<"CLEAR" | "OVER_PART" | "CONTACT" | "NEAR", number> & { BETWEEN: number[] };
 
 /** Which sets of Gaussians answer, 1 or 0, with the things that may, and those under “not”. */
@@ -35,7 +34,6 @@ export class Relations {
   private readonly members: number[][];
   private readonly shapes: Shape[];
   private readonly counts: TensorData;
-
   private readonly objects: Found;
 
   constructor(

@@ -85,18 +85,16 @@ export class Vocabulary {
     const parts = new Map(leaves.flatMap(([leaf]) => textsOf(leaf)).map((part) => [part, this.answerOfWord(part)]));
     const needed = leaves.flatMap(([leaf, sign]) => (sign ? [textsOf(leaf)] : []));
     const wanted = [...new Set(needed.length ? needed.map(([first]) => first) : parts.keys())];
-    const partOf = (part: string, thing: number) => {
-      const { chosen_things: things, things: levels } = parts.get(part)!;
-      return this.things(this.rowOf(part), 1 + levels.length)![things!.indexOf(thing)];
-    };
+    const best = wanted.map((part) => parts.get(part)!).reduce((one, other) =>
+      (Number(other.present) - Number(one.present) || (other.score ?? 0) - (one.score ?? 0)) > 0 ? other : one);
+    const score = needed.length ? best.score : null;
+    const partOf = (part: string, thing: number) =>
+      this.things(this.rowOf(part), 1 + best.things.length)![parts.get(part)!.chosen_things!.indexOf(thing)];
     const evaluated = (things: (answer: Answer) => number[] | null, part: typeof partOf | null) =>
       this.relations!.evaluate(root, new Map([...parts].map(([part, answer]) => [part, things(answer)!])), part);
     const judged = evaluated(({ present, chosen_things: things }) => (present ? things : []), partOf);
     const present = judged.found.size > 0;
     const chosen = present ? judged : evaluated(({ chosen_things: things }) => things, partOf);
-    const best = wanted.map((part) => parts.get(part)!).reduce((one, other) =>
-      (Number(other.present) - Number(one.present) || (other.score ?? 0) - (one.score ?? 0)) > 0 ? other : one);
-    const score = needed.length ? best.score : null;
     const seen = this.metadata.seen_from && leaves.some(([leaf]) => phrasesOf(leaf).some(isSeen)) ? `, as seen from ${this.metadata.seen_from}` : "";
     const names = [...judged.found].filter(([, said]) => wanted.length > 1 || !parts.has(said)).map(([thing, said]) => said || `thing ${thing}`);
     const counts = [...new Set(names)].map((name) => [names.filter((each) => each === name).length, name] as const);

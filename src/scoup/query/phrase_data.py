@@ -28,7 +28,7 @@ RULES = ("CLEAR", "OVER_PART", "CONTACT", "NEAR", "BETWEEN")
 def phrase_data(
     field: Field, question: Question[Any], answers: Sequence[Sequence[int]]
 ) -> tuple[list[list[int]], dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the parts, arrays and facts by which a page evaluates phrases over the texts of a question.
+    """Return the data with which a page evaluates phrases over the texts of a question.
 
     Args:
         field: with T things.
@@ -45,9 +45,10 @@ def phrase_data(
     table, known, frame = field.thing_table, thing_index(field, question), scene_frame(field)
     assert table is not None
     assert known is not None
-    fits = known.fits(question.queries).T.tolist()
-    every = zip(fits, answers, strict=True)
-    parts = [[best_part_number(table, known, fit, thing) for thing in things] for fit, things in every]
+    every = zip(known.fits(question.queries).T, answers, strict=True)
+    parts = [
+        [best_part_number(table, known, fits.tolist(), thing) for thing in things] for fits, things in every
+    ]
     objects = [thing.number for thing in find_objects(field, named_things(field, question))]
     things = Thing.of_table(field, range(len(table)))
     numbers, shapes = np.array([thing.number for thing in things], np.uint16), Shapes.of(field, things, frame)

@@ -197,4 +197,4 @@ def touching_things(shapes: Shapes) -> Iterator[tuple[int, int, bool, bool]]:
         near &= (bottoms <= high[one, UP] + reach[one]) & (tops >= low[one, UP] - reach[one])
         for other in np.flatnonzero(near).tolist():
             if other != one:
-                yield one, other, *(CONDITIONS[name](shapes, one, (other,)) for name in ("inside", "on"))
+                yield one, other, _inside(shapes, one, (other,)), _on(shapes, one, (other,))

@@ -51,14 +51,12 @@ def words_data(field: Field, question: Question, answers: Sequence[PageAnswer], 
         "present": np.array([verdict["present"] for verdict in verdicts], np.uint8),
         "gaussians": np.array([verdict["gaussians"] for verdict in verdicts], np.int32),
     }
-    metadata = {
-        "names": question.texts,
-        "certainties": words,
-        "remarks": [answer.remark for answer in answers],
-    }
+    remarks = [answer.remark for answer in answers]
+    metadata = {"names": question.texts, "certainties": words, "remarks": remarks}
     if answers[0].chosen_things is not None:
-        chosen = [answer.chosen_things or [] for answer in answers]
-        parts, arrays, facts = phrase_data(field, question, chosen)
+        parts, arrays, facts = phrase_data(
+            field, question, [answer.chosen_things or () for answer in answers]
+        )
         tensors |= {**_things(answers, parts), **arrays}
         tensors["runner_up"] = np.array([rival["thing"] for rival in rivals], np.uint16)
         tensors["runner_up_score"] = np.array([rival["score"] for rival in rivals], np.float32)
