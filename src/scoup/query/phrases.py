@@ -248,4 +248,4 @@ def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
 
 
 def _refusal(source: str, problem: str) -> InputError:
-    return InputError(f"{source}: {problem}; {KNOWN_PHRASES}")
+    return InputError(f"{_joined([source])}: {problem}; {KNOWN_PHRASES}")
