@@ -7,6 +7,7 @@ import random
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,6 +151,23 @@ def test_relations_that_hardly_hold_are_the_same(by_page) -> None:
     check_alike(viewed, list(IN_HALL), answers)
     found = [set(answer["chosen_things"]) if answer["present"] else set() for answer in answers]
     assert dict(zip(IN_HALL, found, strict=True)) == IN_HALL
+
+
+def test_parts_of_one_thing_are_told_apart(by_page, monkeypatch) -> None:
+    """A ball and its bowl are one thing at the coarser level, which is made to answer here."""
+    boxes = [Box("bowl", (0, 0, 0.02), (0.4, 0.4, 0.04)), Box("ball", (0, 0, 0.14), (0.2, 0.2, 0.2))]
+    field, both = with_whole(planted_room(boxes), [0, 1])
+    choose = import_module("scoup.query.thing_judge").choose_things
+    coarse = lambda known, fits, level: choose(known, fits, 1 if level is None else level)  # noqa: E731
+    monkeypatch.setattr("scoup.query.thing_judge.choose_things", coarse)
+    texts, viewed = (
+        ["ball on bowl", "bowl on ball", "ball above the bowl", "ball or bowl"],
+        ViewedField(field),
+    )
+    answers = by_page(viewed, texts)
+    check_alike(viewed, texts, answers)
+    found = [answer["chosen_things"] if answer["present"] else [] for answer in answers]
+    assert found == [[1], [], [1], [both]]
 
 
 @pytest.mark.parametrize("levels", [1, 2])
