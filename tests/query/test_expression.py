@@ -57,6 +57,7 @@ def test_expressions_are_read(words, said, texts, wanted) -> None:
 NO_EXPRESSIONS = (
     [""], ["mug and"], ["and mug"], ["mug", "+"], ["not"], ["(mug"], ["mug)"], ['"mug'], ["mug not cup"], ["()"],
     ["mug", "and", "or", "cup"], ["not " * 60 + "mug"], ["(" * 60 + "mug" + ")" * 60], [" + a - b" * 60], [],
+    ['mug between "a cup"'],
 )  # fmt: skip
 
 

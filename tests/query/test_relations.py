@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scoup.base import UnknownNameError
 from scoup.query.ask import apart
 from scoup.query.language_field import LanguageField
 from scoup.query.phrases import parse_phrase
+from scoup.query.relation_rules import CONDITIONS, Shapes, touching_things
 from scoup.query.relations import resolve
 from support import examples
 
@@ -172,6 +174,20 @@ def test_misplaced_gaussians_make_no_container_of_a_table(count: int, relation: 
     assert field.thing_table is not None
     field.thing_table.owners[2 * 216 : 10 * 216].view(8, 216)[:, 216 - count :] = 0
     assert [each for each in field.relations() if each[0] == 1] == [(1, relation, 0)]
+
+
+@pytest.mark.parametrize("field", [planted_room(), with_whole(planted_room(), [LEFT, LAPTOP, PEN])[0]])
+def test_things_that_are_near_enough_are_all_that_touch(field: LanguageField) -> None:
+    shapes = Shapes.of(field, field.things(), field.frame())
+    every = list(permutations(range(len(shapes.things)), 2))
+    found = {(one, other): holds for one, other, *holds in touching_things(shapes)}
+    wanted = {
+        pair: [CONDITIONS[name](shapes, pair[0], pair[1:]) for name in ("inside", "on")] for pair in every
+    }
+    assert 0 < len(found) < len(every)
+    assert {pair: holds for pair, holds in wanted.items() if any(holds)} == {
+        pair: holds for pair, holds in found.items() if any(holds)
+    }
 
 
 def test_what_no_thing_satisfies_is_not_there() -> None:

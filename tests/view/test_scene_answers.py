@@ -124,7 +124,8 @@ def test_page_exported_page_and_agents_do_not_contradict_the_field(make: Callabl
 
 def exported_verdicts(field: LanguageField, answers: list[PageAnswer]) -> Iterator[dict[str, object]]:
     """What an exported page says of each answer, but for the runner-up."""
-    tensors, metadata = unpacked(words_data(field, answers))
+    question = field.question([answer.text for answer in answers])
+    tensors, metadata = unpacked(words_data(field, question, answers))
     for row in range(len(answers)):
         yield {
             "score": float(tensors["score"][row]),
@@ -143,7 +144,8 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
         answer = each.answers(["thing 1"])[0]
         assert (answer.chosen_things, answer.things) == (None, [None, None])
         assert answer.to_dict()["things"] == [None, None]
-        assert not {"things", "runner_up"} & set(unpacked(words_data(each.field, [answer]))[0])
+        tensors = unpacked(words_data(each.field, each.question(["thing 1"]), [answer]))[0]
+        assert not {"things", "runner_up"} & set(tensors)
 
 
 def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> None:
@@ -183,8 +185,9 @@ def test_the_vocabulary_is_the_table_or_a_list(viewed: ViewedField, tmp_path: Pa
 
 
 def test_words_hold_the_same_answers(viewed: ViewedField, of_things: ViewedField) -> None:
-    answers = list(scene_answers(viewed.field, viewed.question(WORDS)))
-    tensors, metadata = unpacked(words_data(viewed.field, answers))
+    question = viewed.question(WORDS)
+    answers = list(scene_answers(viewed.field, question))
+    tensors, metadata = unpacked(words_data(viewed.field, question, answers))
     assert metadata["names"] == list(WORDS)
     assert tensors["scores"].shape == (len(WORDS), 2, 9)
     assert tensors["scores"].dtype == np.float16
@@ -200,14 +203,16 @@ def test_words_hold_the_same_answers(viewed: ViewedField, of_things: ViewedField
     few = {name: vector for name, vector in table().items() if name not in WORDS[3:]}
     unjudged = ViewedField(random_field().with_encoder(few))
     assert unjudged.metadata()["present_from"] is None
-    stored = unpacked(words_data(unjudged.field, unjudged.answers(["thing 0"])))[0]
+    question = unjudged.question(["thing 0"])
+    stored = unpacked(words_data(unjudged.field, question, unjudged.answers(["thing 0"])))[0]
     assert math.isnan(stored["score"][0])
     assert (stored["certainty"][0], stored["present"][0]) == (255, 1)
     # And name the same things.
     answers = of_things.answers(WORDS)
-    tensors = unpacked(words_data(of_things.field, answers))[0]
-    assert tensors["thing_counts"].shape == (len(WORDS), 3)
-    named = [[answer.chosen_things, *answer.things] for answer in answers]
+    tensors = unpacked(words_data(of_things.field, of_things.question(WORDS), answers))[0]
+    assert tensors["thing_counts"].shape == (len(WORDS), 4)
+    # Things of no other thing are their own best parts.
+    named = [[answer.chosen_things, *answer.things, answer.chosen_things] for answer in answers]
     assert [[len(each or ()) for each in row] for row in named] == tensors["thing_counts"].tolist()
     assert [number for row in named for each in row for number in each or ()] == tensors["things"].tolist()
     rivals = [answer.verdict["runner_up"] or {"thing": NO_OWNER, "score": math.nan} for answer in answers]

@@ -18,6 +18,8 @@ export interface Settings {
 /** What a scene answers to a text; Python decides all of it (`scoup.view.scene_answers`). */
 export interface Answer {
   text: string;
+  /** How commands ask it, if otherwise: an exported page takes names of its vocabulary whole. */
+  asked?: string;
   level: number;
   /** The share of everyday words that fit this scene less well, 0 to 1; null with too few of them. */
   score: number | null;

@@ -1,15 +1,10 @@
 // What is on the screen, as commands for a terminal and for Python.
-import type { Settings } from "./answers";
+import type { Answer, Settings } from "./answers";
 import type { State } from "./state";
 
 /** For a POSIX shell. */
 export function quoted(text: string): string {
   return /^[\w./:=@%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
-}
-
-/** As a field takes it: an exported page knows texts alone, which would be read as phrases outside double quotes. */
-function asked(text: string, settings: Settings): string {
-  return settings.mode === "exported" && /[\s()?]/.test(text) ? `"${text}"` : text;
 }
 
 function fileName(text: string): string {
@@ -30,20 +25,20 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
   const visible = state.visible();
   if (!visible.length) return settings.open;
   const rest = state.mode === "except";
-  const groups = new Map<number | null, string[]>();
+  const groups = new Map<number | null, Answer[]>();
   for (const query of visible) {
     const level = state.threshold === null ? state.level : state.levelOf(query);
-    groups.set(level, [...(groups.get(level) ?? []), query.answer.text]);
+    groups.set(level, [...(groups.get(level) ?? []), query.answer]);
   }
   const always = isCertain(state);
   const lines: string[] = [];
-  for (const [level, texts] of groups) {
-    const words = texts.map((text) => quoted(asked(text, settings))).join(" ");
+  for (const [level, answers] of groups) {
+    const words = answers.map(({ text, asked = text }) => quoted(asked)).join(" ");
     let options = table;
     if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
     if (always) options += " --always";
-    const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
+    const out = `${rest ? "without_" : ""}${fileName(answers[0].text)}.ply`;
     const edit = rest ? " --edit remove" : "";
     lines.push(`scoup select ${field} ${words}${options}${edit} --out ${quoted(out)}`);
     if (camera !== null) lines.push(`scoup query ${field} ${words}${options} --camera ${quoted(camera)}`);
@@ -72,7 +67,7 @@ export function python(settings: Settings, state: State, levels: string[], camer
     if (state.threshold !== null) options.push(`threshold=${rounded(state.threshold)}`);
     if (level !== null) options.push(`level=${JSON.stringify(levels[level])}`);
     if (isCertain(state)) options.push("always=True");
-    const text = JSON.stringify(asked(query.answer.text, settings));
+    const text = JSON.stringify(query.answer.asked ?? query.answer.text);
     lines.push("", `place = field.location(${question(text, options)})`);
     const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
     lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);

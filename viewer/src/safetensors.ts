@@ -1,7 +1,7 @@
 // Gzipped safetensors files: tensors by name, and JSON under the key "scoup".
 import { DataUtils } from "three";
 
-export type TensorData = Uint8Array | Int8Array | Uint16Array | Float32Array | Int32Array;
+export type TensorData = Uint8Array | Int8Array | Uint16Array | Float32Array | Float64Array | Int32Array;
 
 export interface Tensor {
   data: TensorData;
@@ -37,7 +37,7 @@ export async function unpack(bytes: Uint8Array<ArrayBuffer>): Promise<Packed> {
   return { tensors, metadata: JSON.parse(metadata.scoup) };
 }
 
-const KINDS = { U8: Uint8Array, I8: Int8Array, U16: Uint16Array, F32: Float32Array, I32: Int32Array };
+const KINDS = { U8: Uint8Array, I8: Int8Array, U16: Uint16Array, F32: Float32Array, F64: Float64Array, I32: Int32Array };
 
 function numbers(dtype: string, buffer: ArrayBuffer): TensorData {
   if (dtype === "F16") return Float32Array.from(new Uint16Array(buffer), (bits) => DataUtils.fromHalfFloat(bits));

@@ -20,6 +20,7 @@ from scoup.query.frame import Frame
 from scoup.query.label_writing import LabelFiles
 from scoup.query.labels import GaussianLabels
 from scoup.query.language_field import LanguageField, build
+from scoup.query.phrase_data import phrase_data
 from scoup.query.place import Place
 from scoup.query.presence import Certainty
 from scoup.query.question import Question, TextVectors, warn_of_another_model
@@ -64,6 +65,7 @@ __all__ = [
     "mask_box",
     "named_things",
     "parse_expression",
+    "phrase_data",
     "placed_atoms",
     "refine",
     "related_objects",

@@ -21,7 +21,7 @@ from scoup.query.phrases import (
 )
 
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
-_GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
+USAGE = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
 _DEEPEST = 50  # operators within operators
 Value = TypeVar("Value")
 
@@ -138,12 +138,12 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
         ('mug', 'handle', 'plate')
     """
     given = [words] if isinstance(words, str) else list(words)
-    known, kept_whole = _names(tuple(names or ()))
+    known, kept_whole = name_forms(tuple(names or ()))
     tokens: list[str] = []
     for word in given:
         text = word.strip()
         if not text:
-            raise InputError(f"a text is blank; {_GRAMMAR}")
+            raise InputError(f"a text is blank; {USAGE}")
         if text.casefold() in known:
             group = ["(", f"={protected(text)}", ")"]
         elif text.lower() in OPERATORS:
@@ -163,7 +163,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
 
 
 @lru_cache(maxsize=4)
-def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
+def name_forms(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
     """Return the case-folded names, and a pattern for names that look like phrases or expressions, longest first."""
     parts = {tuple(map(re.escape, name.split())) for name in names if RESERVED & {*name.lower().split()}}
     forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
@@ -175,7 +175,7 @@ def _tokens(text: str) -> list[str]:
     """Return operators as they are, and texts after a prefix, `=`, that marks them as texts."""
     tokens: list[str] = []
     if text.count('"') % 2:
-        raise InputError(f"{text}: a double quote is not closed; {_GRAMMAR}")
+        raise InputError(f"{text}: a double quote is not closed; {USAGE}")
     for inside, bracket, word in _TOKEN.findall(text):
         piece = word or protected(inside)
         if bracket or word.lower() in OPERATORS:
@@ -195,7 +195,7 @@ class _Reader:
         self.before = ""  # the operator in front of the text that comes next
 
     def refusal(self, problem: str) -> InputError:
-        return InputError(f"{self.source}: {problem}; {_GRAMMAR}")
+        return InputError(f"{self.source}: {problem}; {USAGE}")
 
     def unexpected(self) -> InputError:
         """Return the refusal of the next token."""

@@ -30,21 +30,17 @@ SIDES = ("left", "right", "top", "bottom", "front", "back")
 SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 _NUMBERED = re.compile(r"([1-9][0-9]?)(?:st|nd|rd|th)")
-_UNKNOWN = frozenset(
-    re.findall(
-        r"\w+",
-        "across against along alongside amid among around beyond facing off opposite outside past through touching "
-        "toward towards",
-    )
+_UNKNOWN = re.findall(
+    r"\w+",
+    "across against along alongside amid among around beyond facing off opposite outside past through touching toward "
+    "towards",
 )
 _FORMS = [form for forms in RELATIONS.values() for form in forms]
 _UNFINISHED = frozenset(_FORMS)
 """Texts that lack the thing that they are about."""
 _BEGINNINGS = tuple(f"{form} " for form in _FORMS if " " in form)
 """So do texts that begin with these; one word may be a part of a name, as in "on switch"."""
-_ANYTHING = frozenset(
-    ["what", "what's", "thing", "things", "object", "objects", "anything", "everything", "something"]
-)
+_ANYTHING = ("what", "what's", "thing", "things", "object", "objects", "anything", "everything", "something")
 """Words before a relation that stand for all objects of the scene."""
 _FILLERS = ("is", "are", "that", "which", "there")
 """Words before a relation that say nothing."""
@@ -68,6 +64,12 @@ KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
     f"{', '.join(SIDES[:-1])} or {SIDES[-1]}; double quotes keep a text as it is"
 )
+WORDS = {
+    "relations": RELATIONS, "sizes": SIZES, "sides": SIDES, "ordinals": ORDINALS, "unknown": _UNKNOWN,
+    "anything": _ANYTHING, "fillers": _FILLERS, "articles": ARTICLES, "operators": OPERATORS,
+    "forms": sorted(_FORMS, key=len, reverse=True), "beginnings": _BEGINNINGS, "phrases": KNOWN_PHRASES,
+}  # fmt: skip
+"""The words of the grammar, for pages that parse phrases themselves (viewer/src/phrases.ts)."""
 
 
 @dataclass(frozen=True)
@@ -246,4 +248,4 @@ def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
 
 
 def _refusal(source: str, problem: str) -> InputError:
-    return InputError(f"{source}: {problem}; {KNOWN_PHRASES}")
+    return InputError(f"{_joined([source])}: {problem}; {KNOWN_PHRASES}")

@@ -6,7 +6,7 @@ Gaussians below. The rules are ours; `python -m benchmarks things` measures them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -183,3 +183,18 @@ CONDITIONS: Mapping[str, Condition] = {
     "inside": _inside,
 }
 """Every relation but "nearest to", which compares the things with each other."""
+
+
+def touching_things(shapes: Shapes) -> Iterator[tuple[int, int, bool, bool]]:
+    """Yield two things that are near enough, and whether the first is inside and on the second; no others are."""
+    low, high = shapes.spans[..., 0], shapes.spans[..., 1]
+    heights, starts = shapes.points.means[:, UP], shapes.points.starts[:-1]
+    # Beyond its span, a thing may reach around the footprint of another.
+    bottoms, tops = np.minimum.reduceat(heights, starts), np.maximum.reduceat(heights, starts)
+    reach = constants.CONTACT * (high - low)[:, UP]
+    for one in range(len(low)):
+        near = (np.minimum(high[one], high) >= np.maximum(low[one], low))[:, [RIGHT, AWAY]].all(1)
+        near &= (bottoms <= high[one, UP] + reach[one]) & (tops >= low[one, UP] - reach[one])
+        for other in np.flatnonzero(near).tolist():
+            if other != one:
+                yield one, other, _inside(shapes, one, (other,)), _on(shapes, one, (other,))

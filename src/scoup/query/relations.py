@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from scoup.field import Field
-from scoup.query import constants
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.phrases import Phrase, Target, texts_of
-from scoup.query.relation_rules import AWAY, CONDITIONS, RIGHT, UP, Shapes
+from scoup.query.relation_rules import AWAY, CONDITIONS, RIGHT, UP, Shapes, touching_things
 from scoup.query.things import Thing, all_things
 
 _ENDS = {
@@ -113,17 +112,10 @@ def relations(field: Field, frame: Frame | None = None) -> list[tuple[int, str, 
 def related_pairs(field: Field, things: Sequence[Thing], frame: Frame) -> Iterator[tuple[int, str, int]]:
     """Yield the things inside or on others: (number, "inside" or "on", number of the other)."""
     shapes = Shapes.of(field, things, frame)
-    low, high = shapes.spans[..., 0], shapes.spans[..., 1]
-    heights = (high - low)[:, UP]
-    for one, thing in enumerate(things):
-        gaps = np.maximum(low[one], low) - np.minimum(high[one], high)
-        for other in np.flatnonzero((gaps <= constants.CONTACT * heights[one]).all(1)).tolist():
-            if other == one:
-                continue
-            inside, on = (CONDITIONS[what](shapes, one, (other,)) for what in ("inside", "on"))
-            if inside or on:
-                is_inside = inside and (not on or shapes.encloses(other, one))
-                yield _number(thing), "inside" if is_inside else "on", _number(things[other])
+    for one, other, inside, on in touching_things(shapes):
+        if inside or on:
+            is_inside = inside and (not on or shapes.encloses(other, one))
+            yield _number(things[one]), "inside" if is_inside else "on", _number(things[other])
 
 
 def _number(thing: Thing) -> int:

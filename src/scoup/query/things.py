@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import WorldFrame, card, rounded_vector
-from scoup.field import Field
+from scoup.field import Field, ThingTable
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question
-from scoup.query.thing_judge import thing_index
+from scoup.query.thing_judge import ThingIndex, thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene import linked_parts, nearest_points
@@ -193,8 +193,7 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
     assert thing.number is not None
     every = known.fits(one.queries)
     fits = every[:, 0].tolist()
-    inside = table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
-    best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
+    best = best_part_number(table, known, fits, thing.number)
     if best == thing.number:
         return thing
     (score,) = known.text_scores(one, every, named_texts(table, one))
@@ -203,6 +202,12 @@ def best_part(field: Field, question: Question[Any], text: str, thing: Thing) ->
         for part in Thing.of_table(field, [best])
     ]
     return best_parts[0] if best_parts else thing
+
+
+def best_part_number(table: ThingTable, known: ThingIndex, fits: Sequence[float], thing: int) -> int:
+    """Return the number of the part of a thing with the largest of the fits [T] to a text, or its own."""
+    inside = table.parts(thing) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    return max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing)
 
 
 def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | None]:

@@ -51,8 +51,8 @@ def export_page(
 ) -> ExportReport:
     """Write a page that needs neither server nor network.
 
-    Texts are asked among the field's vocabulary: the answer to each word lies in the page, the inner products of word
-    and atoms (2 bytes each), level, thresholds, score and presence.
+    Texts and phrases over the field's vocabulary can be asked: the answer to each word lies in the page, the inner
+    products of word and atoms (2 bytes each), level, thresholds, score and presence; and the relations of things.
 
     Args:
         viewed: the field, with its vocabulary.
@@ -130,7 +130,7 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
         return b"", 0
     pending = scene_answers(viewed.field, vocabulary)
     answers = [*reported(pending, "words", len(vocabulary.texts), progress)]
-    return words_data(viewed.field, answers), len(answers)
+    return words_data(viewed.field, vocabulary, answers), len(answers)
 
 
 def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]:

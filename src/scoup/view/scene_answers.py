@@ -26,7 +26,9 @@ class PageAnswer:
     """
 
     text: str
-    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``; "remark" in words, of all but texts alone
+    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``
+    remark: str  # of ``Answer.remark``
+    is_text: bool  # a text alone, whose remark the page does not show
     level: int  # position of the level that answers
     # If presence is not judged: the page shows absent texts on demand, and a level of choice for what is present.
     chosen_things: list[int] | None  # that answer if no level is chosen; None in a field without things
@@ -41,6 +43,7 @@ class PageAnswer:
         return {
             "text": self.text,
             **self.verdict,
+            "remark": None if self.is_text else self.remark,
             "level": self.level,
             "thresholds": [round(value, 4) for value in self.thresholds.tolist()],
             "spans": [[round(low, 6), round(high, 6)] for low, high in self.spans.tolist()],
@@ -85,10 +88,12 @@ def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
     for answer, of_any, *others in zip(answers, *of_levels, strict=True):
         asked, record = answer.asked, answer.to_dict()
         relevancy = field.gaussian_relevancy(asked.query, asked.canonical)[:, 0].cpu()
-        chosen, is_text = answer if answer.presence else of_any, not isinstance(answer, ExpressionAnswer)
+        chosen = answer if answer.presence else of_any
         yield PageAnswer(
             answer.text,
-            {**{key: record[key] for key in VERDICT}, "remark": None if is_text else answer.remark()},
+            {key: record[key] for key in VERDICT},
+            answer.remark(),
+            not isinstance(answer, ExpressionAnswer),
             asked.level,
             list(chosen.things) if by_things else None,
             [list(other.things) if by_things else None for other in others],

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.field import Field
-from scoup.query import Certainty
+from scoup.query import Certainty, Question, phrase_data
 from scoup.view.packing import packed
 from scoup.view.scene_answers import PageAnswer
 from scoup.view.scene_data import NO_OWNER
@@ -18,16 +18,18 @@ from scoup.view.scene_data import NO_OWNER
 _NONE = 255  # of a certainty
 
 
-def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: Field, question: Question, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """Return the file of words in an exported page, packed as ``scene_data`` packs the scene; V words.
 
     gram [S, L, L] float16, inner products of atoms. scores [V, S, L] float16, of word and atoms. thresholds [V, S].
     spans [V, S, 2], relevancies that rescaling takes to 0 and 1. levels, present, certainty [V] uint8 (255: not known).
     score [V], gaussians [V] int32. With things: runner_up [V] uint16 (65535: none), runner_up_score [V], thing_counts
-    [V, 1 + S] and things [M] uint16 (``_things``). Other numbers are float32. Metadata: names, certainties.
+    [V, 2 + S] and things [M] uint16 (``_things``), and the arrays of ``scoup.query.phrase_data``. Other numbers are
+    float32. Metadata: names, certainties, remarks; with things, the facts of ``phrase_data``.
 
     Args:
         field: that was asked.
+        question: of the words.
         answers: one a word.
         effort: of compression, 1 to 9.
     """
@@ -49,17 +51,25 @@ def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> 
         "present": np.array([verdict["present"] for verdict in verdicts], np.uint8),
         "gaussians": np.array([verdict["gaussians"] for verdict in verdicts], np.int32),
     }
+    remarks = [answer.remark for answer in answers]
+    metadata = {"names": question.texts, "certainties": words, "remarks": remarks}
     if answers[0].chosen_things is not None:
-        tensors |= _things(answers)
+        parts, arrays, facts = phrase_data(
+            field, question, [answer.chosen_things or () for answer in answers]
+        )
+        tensors |= {**_things(answers, parts), **arrays}
         tensors["runner_up"] = np.array([rival["thing"] for rival in rivals], np.uint16)
         tensors["runner_up_score"] = np.array([rival["score"] for rival in rivals], np.float32)
-    return packed(tensors, {"names": [answer.text for answer in answers], "certainties": words}, effort)
+        metadata |= facts
+    return packed(tensors, metadata, effort)
 
 
-def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
-    """Return the number of things that answer each word, [V, 1 + S], without and with a level of choice; and their
-    numbers, one after the other."""
-    choices = [[answer.chosen_things, *answer.things] for answer in answers]
+def _things(answers: Sequence[PageAnswer], parts: Sequence[list[int]]) -> dict[str, NDArray[np.uint16]]:
+    """Return the number of things that answer each word, [V, 2 + S], without and with a level of choice, and of the
+    parts of the first that fit it best; and their numbers, one after the other."""
+    choices = [
+        [answer.chosen_things, *answer.things, part] for answer, part in zip(answers, parts, strict=True)
+    ]
     counts = [[0 if choice is None else len(choice) for choice in row] for row in choices]
     numbers = [number for row in choices for choice in row for number in choice or ()]
     return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
