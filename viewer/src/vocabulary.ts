@@ -88,6 +88,9 @@ export class Vocabulary {
     const best = wanted.map((part) => parts.get(part)!).reduce((one, other) =>
       (Number(other.present) - Number(one.present) || (other.score ?? 0) - (one.score ?? 0)) > 0 ? other : one);
     const score = needed.length ? best.score : null;
+    // A runner-up is that of one text.
+    const only = parts.size === 1 && leaves.every(([leaf, sign]) => sign && typeof leaf === "string");
+    const remark = only || !best.runner_up ? best.remark : best.remark!.replace(`, or thing ${best.runner_up.thing}`, "");
     const partOf = (part: string, thing: number) =>
       this.things(this.rowOf(part), 1 + best.things.length)![parts.get(part)!.chosen_things!.indexOf(thing)];
     const evaluated = (things: (answer: Answer) => number[] | null, part: typeof partOf | null) =>
@@ -96,7 +99,7 @@ export class Vocabulary {
     const present = judged.found.size > 0;
     const chosen = present ? judged : evaluated(({ chosen_things: things }) => things, partOf);
     const seen = this.metadata.seen_from && leaves.some(([leaf]) => phrasesOf(leaf).some(isSeen)) ? `, as seen from ${this.metadata.seen_from}` : "";
-    const names = [...judged.found].filter(([, said]) => wanted.length > 1 || !parts.has(said)).map(([thing, said]) => said || `thing ${thing}`);
+    const names = [...judged.found].filter(([, said]) => wanted.length > 1 || !parts.has(said)).map(([thing, said]) => (parts.has(said) ? this.metadata.names[this.rowOf(said)] : said) || `thing ${thing}`);
     const counts = [...new Set(names)].map((name) => [names.filter((each) => each === name).length, name] as const);
     const listed = counts.slice(0, 12).map(([count, name]) => (count > 1 ? `${count} x ${name}` : name)).join(", ") + (counts.length > 12 ? ", ..." : "");
     const absent = [...parts.values()].filter((part) => !part.present && needed.flat().includes(part.text)).map((part) => `${part.text}: ${part.remark}`);
@@ -109,12 +112,12 @@ export class Vocabulary {
       present,
       score,
       certainty: score === null ? null : present ? best.certainty : "not here",
-      runner_up: needed.length ? best.runner_up : null,
+      runner_up: only ? best.runner_up : null,
       gaussians: needed.length && !present ? 0 : judged.gaussians,
       chosen_things: [...chosen.found.keys()],
       things: best.things.map((_, level) => [...evaluated(({ things }) => things[level], null).found.keys()]),
       without: chosen.without,
-      remark: present ? `${listed && `${listed}; `}${score === null ? "presence not judged" : best.remark}${seen}` : without,
+      remark: present ? `${listed && `${listed}; `}${score === null ? "presence not judged" : remark}${seen}` : without,
     };
   }
 }
