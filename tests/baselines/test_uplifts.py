@@ -20,6 +20,7 @@ from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.pixel_rules import (
+    AllPixels,
     CentrePixel,
     PixelWeights,
     TopContributors,
@@ -147,12 +148,16 @@ def test_sums_are_made_once_for_equal_rules_and_codes_for_settings_that_differ_i
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     quick = BuildSettings(n_atoms=4, k=2, effort="fast")
-    scene, learn = RasterisedScene(*small_scene(views=2)), Mock(wraps=rasterised_scene.learn_codes)
+    scene, learn = RasterisedScene(*small_scene(views=2)), Mock(wraps=rasterised_scene.code_regions)
     assert scene.region_sums() is scene.region_sums()
+    stages: list[tuple[str, int, int]] = []
+    for pixels in (AllPixels("auto"), TopContributors(), TopContributors()):
+        scene.inputs(pixels, progress=lambda *told: stages.append(told))
+    assert stages.count(("region sums", 2, 2)) == 2
     assert scene.region_sums(CentrePixel()) is scene.region_sums(CentrePixel())
     assert scene.region_sums(CentrePixel()) is not scene.region_sums()
     assert scene.seconds(CentrePixel()) > 0
-    monkeypatch.setattr(rasterised_scene, "learn_codes", learn)
+    monkeypatch.setattr(rasterised_scene, "code_regions", learn)
     for changes in ({}, {"keep": 0}, {"rounds": 1}):
         scene.inputs().codes(replace(quick, **changes))
         scene.inputs(CentrePixel()).codes(quick)

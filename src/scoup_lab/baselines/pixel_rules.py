@@ -14,13 +14,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError
+from scoup.base import InputError, Progress, no_progress
 from scoup.raster import ViewSums, merge
 from scoup.scene import Camera, Cameras, Gaussians, Regions
 from scoup.uplift import BuildSettings, RegionSums, cameras_with_regions, region_sums
@@ -54,11 +55,19 @@ class PixelWeights:
 class AllPixels:
     """Every pixel counts, by the weight of the Gaussian in it."""
 
+    scale: float | Literal["auto"] = 1.0  # of the images, as in ``BuildSettings``
+
     def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        regions: Regions,
+        raster_preset: str = "inria",
+        progress: Progress = no_progress,
     ) -> RegionSums:
         """Return region sums of all views."""
-        return region_sums(gaussians, cameras, regions, BuildSettings(raster_preset=raster_preset, scale=1.0))
+        settings = BuildSettings(raster_preset=raster_preset, scale=self.scale)
+        return region_sums(gaussians, cameras, regions, settings, progress=progress)
 
 
 ALL_PIXELS = AllPixels()
@@ -77,16 +86,23 @@ class PairRule(ABC):
         return pairs
 
     def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        regions: Regions,
+        raster_preset: str = "inria",
+        progress: Progress = no_progress,
     ) -> RegionSums:
         """Return region sums of all views over the pairs that the rule keeps."""
         sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
-        for camera in cameras_with_regions(cameras, regions):
+        views = cameras_with_regions(cameras, regions)
+        for done, camera in enumerate(views, start=1):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
             projection = raster.project(gaussians, camera, raster_preset)
             centres = centre_pixels(gaussians, camera)
             pixels = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
             sums.append(camera.name, _view_sums(self.of_view(pixels), labels), camera)
+            progress("region sums", done, len(views))
         sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
         return sums
 
