@@ -80,7 +80,7 @@ def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarra
 @pytest.mark.parametrize("rule", [CentrePixel(), TopContributors(1), TopContributors(3)])
 def test_region_sums_against_loops(rule: CentrePixel | TopContributors) -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = rule.region_sums(gaussians, cameras, regions)
+    sums = rule.region_sums(RasterisedScene(gaussians, cameras, regions))
     for level, name in enumerate(regions.levels):
         rows = regions.embeddings(name)[1]
         expected = np.zeros((50, sum(part.stop - part.start for part in rows.values())))
@@ -126,7 +126,7 @@ def test_the_gate_against_its_steps() -> None:
 def test_the_gate_sees_a_view_as_a_whole() -> None:
     """Not band by band: the sums are those of the weights at all centres."""
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = VisibleInView().region_sums(gaussians, cameras, regions)
+    sums = VisibleInView().region_sums(RasterisedScene(gaussians, cameras, regions))
     for camera in cameras:
         centres = centre_pixels(gaussians, camera)
         at_centre = weights_of(gaussians, camera).reshape(50, -1)

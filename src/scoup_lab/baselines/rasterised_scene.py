@@ -87,9 +87,9 @@ class RasterisedScene:
     def region_sums(self, pixels: PixelRule = ALL_PIXELS, progress: Progress = no_progress) -> RegionSums:
         """Return region sums of the pixels that count by a rule."""
         if pixels not in self._sums:
-            scene = self.gaussians, self.cameras, self.regions, self.raster_preset
+            _ = self.raster_preset  # its seconds do not count
             started = time.perf_counter()
-            self._sums[pixels] = pixels.region_sums(*scene, progress)
+            self._sums[pixels] = pixels.region_sums(self, progress)
             self._seconds[pixels] = time.perf_counter() - started
         return self._sums[pixels]
 
