@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from scoup.base import InputError
-from scoup.models import ARTICLES
+from scoup.base import InputError, UnknownNameError
+from scoup.models import ARTICLES, CANONICAL_PHRASES, TextEncoder
 
 RELATIONS: dict[str, tuple[str, ...]] = {
     "left of": ("to the left of", "on the left of", "left of"),
@@ -134,6 +134,21 @@ def parse_phrase(text: str) -> Target:
         'coffee mug'
     """
     return _parse(text.split(), text, 0)
+
+
+def explained(error: UnknownNameError, encoder: TextEncoder) -> UnknownNameError:
+    """Return the error of a text that a word table lacks, with the longest part that the table has, and phrases of
+    it; the same error where it has none."""
+    words = [word for word in error.name.split() if word.lower() not in ARTICLES]
+    spans = sorted((stop - start, start) for stop in range(len(words) + 1) for start in range(stop))
+    for length, start in reversed(spans if RESERVED.isdisjoint(word.lower() for word in words) else ()):
+        part = " ".join(words[start : start + length])
+        if part in encoder and part.lower() not in CANONICAL_PHRASES:
+            rest, word = " ".join(words[:start] + words[start + length :]), encoder.word_of(part)
+            remedy = f"{word!r} is one of its names, {rest!r} is not; ask {word!r}, 'largest {word}' or 'second {word} "
+            remedy += "from the left' (docs/things.md)" + "".join(error.remedy.partition(", or ")[1:])
+            return UnknownNameError(error.kind, error.name, error.nearest, error.where, remedy)
+    return error
 
 
 def quoted(text: str) -> str:
