@@ -120,7 +120,7 @@ def test_evaluation_of_fields(scenes: list[StudyScene]) -> None:
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=SETTINGS.build)
     recorder: Any = Recorder(FittedField(built), [])
     clock, stages = Stopwatch(), []
-    scene.score(recorder, RULE, lambda *told: stages.append(told), clock)
+    scene.scores(recorder, {"": ScoringRule(RULE)}, lambda *told: stages.append(told), clock)
     assert stages == [("scoring frames", done, 2) for done in range(3)]
     assert len(clock.seconds["query"]) == len(recorder.given) == 2
     scene.selection_score(recorder)
@@ -254,7 +254,7 @@ def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
     scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
     peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
     assert peaks[0] == peaks[1]
-    assert scores["all"].pairs == scene.score(fitted, RULE).pairs
+    assert scores["all"].pairs == scene.scores(fitted, {"": ScoringRule(RULE)})[""].pairs
 
 
 def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:

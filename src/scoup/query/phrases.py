@@ -49,17 +49,7 @@ _ANYTHING = frozenset(
 _FILLERS = ("is", "are", "that", "which", "there")
 """Words before a relation that say nothing."""
 OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
-RESERVED = frozenset(
-    word
-    for words in (
-        *SIZES,
-        *ORDINALS,
-        *OPERATORS,
-        *_UNKNOWN,
-        *_FORMS,
-    )
-    for word in words.split()
-)
+RESERVED = frozenset(" ".join((*SIZES, *ORDINALS, *OPERATORS, *_UNKNOWN, *_FORMS)).split())
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
 _STOPS = ",;."  # after a noun
 _SPACE = "\0"  # before each word in double quotes

@@ -21,7 +21,7 @@ from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import PairScore, SceneScore
-from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         regions = load_regions(scene.features, scene.cameras)
         rasterised = RasterisedScene(field.gaussians, scene.cameras, regions, field.raster_preset)
         study, fitted = StudyScene(scene, vectors, rasterised), FittedField(field)
-        score = study.score(fitted, rule, progress)
+        score = study.scores(fitted, {"": ScoringRule(rule)}, progress)[""]
         selected = study.selection_score(fitted) if self.selection else None
 
         def map_of(pair: PairScore) -> Tensor:

@@ -32,7 +32,7 @@ from scoup_lab.evaluate.scores import (
     rounded_ious,
 )
 from scoup_lab.evaluate.studies.study import Study
-from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
@@ -140,7 +140,7 @@ class Comparison(Study[MethodResult]):
         fitted = clock("fit", method.fit, rasterised, replace(self.settings, progress=progress))
         return MethodResult(
             method.title(self.settings),
-            scene.score(fitted, self.rule, progress, clock),
+            scene.scores(fitted, {"": ScoringRule(self.rule)}, progress, clock)[""],
             scene.selection_score(fitted) if self.selection else None,
             rasterised.seconds(method.pixels),
             clock.seconds["fit"][0],
@@ -170,13 +170,7 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
     """Return one row a method: means over scenes, each counting alike."""
     localizes = all(result.score.localizes for result in results)
     headers = ["method", "mIoU", "95 % interval", *(["localisation"] if localizes else [])]
-    headers += [
-        "rasterise, s",
-        "fit, s",
-        "query a frame, ms",
-        "bytes a Gaussian",
-        "shared, kB",
-    ]
+    headers += ["rasterise, s", "fit, s", "query a frame, ms", "bytes a Gaussian", "shared, kB"]
     rows = []
     for name, group in by_method(results).items():
         interval = miou_interval([result.score for result in group])

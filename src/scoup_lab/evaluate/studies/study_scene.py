@@ -32,9 +32,7 @@ class ScoringRule:
     mask_rule: MaskRule  # constants and choice of the level
     levels: tuple[str, ...] | None = None  # names of levels that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
-    coded: bool = (
-        False  # draw only the Gaussians that have a code (``relevancy_of_coded``); of sparse codes only
-    )
+    coded: bool = False  # draw only Gaussians with a code (``relevancy_of_coded``); of sparse codes only
 
     @property
     def kind(self) -> tuple[bool, bool]:
@@ -77,16 +75,6 @@ class StudyScene:
             return relevancy_of_coded(fitted, scene.gaussians, camera, queries, canonical, size)
         projection = raster.project(scene.gaussians, camera, scene.raster_preset)
         return (clock or Stopwatch())("query", fitted.relevancy, projection, queries, canonical, size)
-
-    def score(
-        self,
-        fitted: FittedMethod,
-        rule: MaskRule,
-        progress: Progress = no_progress,
-        clock: Stopwatch | None = None,
-    ) -> SceneScore:
-        """Return the score by the protocol."""
-        return self.scores(fitted, {"": ScoringRule(rule)}, progress, clock)[""]
 
     def scores(
         self,
