@@ -35,14 +35,15 @@ def example(name: object, *arguments: object) -> str:
     return finished([sys.executable, EXAMPLES / str(name), *arguments], check=True).stdout
 
 
-def test_pipeline(scene, tmp_path):
+def test_pipeline(tmp_path):
     """Field and answer are those of `scoup.build` on the same regions."""
     pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
     names = ["kettle", "mug", "table", *CANONICAL_PHRASES]
     solid = np.random.default_rng(0).integers(1, 256, (len(names), 1, 1, 3), np.uint8)
     vectors = PlainColors().embed(torch.from_numpy(np.tile(solid, (1, 64, 64, 1)))).numpy()
     WordTable.save(tmp_path / "colors.npz", names, vectors)
-    out = tmp_path / "f.scoup"
+    scene, out = write_scene(tmp_path / "scene"), tmp_path / "f.scoup"
+    shutil.rmtree(scene / "language_features")
     printed = example(
         "00_pipeline.py", scene, "felzenszwalb", "colors", "kettle", out, tmp_path / "colors.npz"
     )
@@ -56,6 +57,9 @@ def test_pipeline(scene, tmp_path):
     assert made.code_indices.equal(built.code_indices)
     assert made.code_weights.equal(built.code_weights)
     assert made.codebook.equal(built.codebook)
+    shutil.move(f"{out}.regions", scene / "language_features")  # used as they are
+    again = example("00_pipeline.py", scene, "no segmenter", "colors", "kettle", out, tmp_path / "colors.npz")
+    assert again == printed
 
 
 @pytest.mark.parametrize(("command", "said"), [

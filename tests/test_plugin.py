@@ -17,6 +17,9 @@ PROGRAM = """
 import torch
 import scoup
 from cli_support import run, run_json
+from scoup_lab.baselines.methods import METHODS
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from support import small_scene
 
 rows = {row["name"]: row for table in run_json("extract", "--list").values() for row in table}
 assert rows["grid"]["what it is"] == "square cells" and rows["grid"]["licence"] == "Apache-2.0"
@@ -31,6 +34,19 @@ torch.testing.assert_close(after.means, before.means)
 torch.testing.assert_close(after.opacities, before.opacities)
 assert run_json("info", "a.csv")["kind"] == "splat"
 assert ".csv" in run("info", "words.npz.bak")[2]
+
+size = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2, "--labelled", 1, "--scenes", 1)
+run_json("eval", "synthetic", "lerf-ovs", "data", *size)
+methods = ("--methods", "heaviest-region", "--methods", "centre-pixel")
+scores = run_json("eval", "baselines", "data", *methods)["methods"]
+assert list(scores) == ["heaviest-region", "centre-pixel"]
+inputs = RasterisedScene(*small_scene(count=60, views=2)).inputs()
+fitted = METHODS["heaviest-region"].uplift(inputs, None)
+for level, features in enumerate(fitted.channels):
+    sums = inputs.sums.matrix(level).toarray()
+    for row, given in zip(sums, features):
+        expected = inputs.embeddings[level][row.argmax()] if row.any() else torch.zeros(16)
+        assert given.equal(expected)
 """
 
 

@@ -20,6 +20,7 @@ from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.pixel_rules import (
+    AllPixels,
     CentrePixel,
     PixelWeights,
     TopContributors,
@@ -79,7 +80,7 @@ def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarra
 @pytest.mark.parametrize("rule", [CentrePixel(), TopContributors(1), TopContributors(3)])
 def test_region_sums_against_loops(rule: CentrePixel | TopContributors) -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = rule.region_sums(gaussians, cameras, regions)
+    sums = rule.region_sums(RasterisedScene(gaussians, cameras, regions))
     for level, name in enumerate(regions.levels):
         rows = regions.embeddings(name)[1]
         expected = np.zeros((50, sum(part.stop - part.start for part in rows.values())))
@@ -125,7 +126,7 @@ def test_the_gate_against_its_steps() -> None:
 def test_the_gate_sees_a_view_as_a_whole() -> None:
     """Not band by band: the sums are those of the weights at all centres."""
     gaussians, cameras, regions = small_scene(count=50, views=2)
-    sums = VisibleInView().region_sums(gaussians, cameras, regions)
+    sums = VisibleInView().region_sums(RasterisedScene(gaussians, cameras, regions))
     for camera in cameras:
         centres = centre_pixels(gaussians, camera)
         at_centre = weights_of(gaussians, camera).reshape(50, -1)
@@ -147,12 +148,16 @@ def test_sums_are_made_once_for_equal_rules_and_codes_for_settings_that_differ_i
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     quick = BuildSettings(n_atoms=4, k=2, effort="fast")
-    scene, learn = RasterisedScene(*small_scene(views=2)), Mock(wraps=rasterised_scene.learn_codes)
+    scene, learn = RasterisedScene(*small_scene(views=2)), Mock(wraps=rasterised_scene.code_regions)
     assert scene.region_sums() is scene.region_sums()
+    stages: list[tuple[str, int, int]] = []
+    for pixels in (AllPixels("auto"), TopContributors(), TopContributors()):
+        scene.inputs(pixels, progress=lambda *told: stages.append(told))
+    assert stages.count(("region sums", 2, 2)) == 2
     assert scene.region_sums(CentrePixel()) is scene.region_sums(CentrePixel())
     assert scene.region_sums(CentrePixel()) is not scene.region_sums()
     assert scene.seconds(CentrePixel()) > 0
-    monkeypatch.setattr(rasterised_scene, "learn_codes", learn)
+    monkeypatch.setattr(rasterised_scene, "code_regions", learn)
     for changes in ({}, {"keep": 0}, {"rounds": 1}):
         scene.inputs().codes(replace(quick, **changes))
         scene.inputs(CentrePixel()).codes(quick)

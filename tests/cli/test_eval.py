@@ -107,6 +107,19 @@ def test_baselines(here: Path) -> None:
     assert run(*compare, *chosen, "--overwrite")[1].count(", kept from before") == len(names)
 
 
+def test_the_default_scores_alike_by_itself_and_beside_others(here: Path) -> None:
+    """On images larger than those of the region sums."""
+    size = ("--n-gaussians", 3000, "--width", 600, "--height", 400, "--views", 4, "--labelled", 2)
+    run_json("eval", "synthetic", "lerf-ovs", "wide", *size, "--scenes", 1, "--seed", 5)
+    alone = run_json("eval", "lerf-ovs", "wide", "--selection")["reports"]
+    beside = run_json("eval", "baselines", "wide", "--methods", "sparse", "--selection")["methods"]["sparse"]
+    score, selected = alone["lerf-ovs_scoup"], alone["lerf-ovs_3d-selection"]
+    assert 0 < score["overall"]["miou"] < 1
+    for name in ("miou", "miou_interval", "accuracy"):
+        assert score["overall"][name] == beside[name]
+    assert selected["overall"]["miou"] == beside["selection_miou"]
+
+
 def test_ablations(here: Path) -> None:
     groups = [part for name in ("vote", "entropy", "views", "levels") for part in ("--groups", name)]
     rows = run_json("eval", "ablations", *STUDY, *groups, "--seeds", 0, 1)["rows"]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from messages import refuses, warns
 from scoup import raster
@@ -19,10 +20,16 @@ from scoup.scene import Camera, Cameras, Gaussians
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_frame, read_labels
 from scoup_lab.evaluate.protocols import lerf_ovs, threed_ovs
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 from scoup_lab.evaluate.protocols.selection import NEIGHBOURS, OPAQUE, THRESHOLD, score_scene, silhouette
-from scoup_lab.evaluate.scores import overall
+from scoup_lab.evaluate.scores import SceneScore, overall, scene_score
 from support import gaussians_at, make_camera, random_gaussians
 from uplift.edits import joined
+
+
+def scored(protocol: PixelProtocol, name: str, frames: Iterable[tuple[LabelledFrame, Tensor]]) -> SceneScore:
+    pairs = [pair for frame, maps in frames for pair in protocol.score_frame(frame, maps)]
+    return scene_score(name, protocol.rule().name, pairs, protocol.title)
 
 
 def square(label: str, x1: float, y1: float, x2: float, y2: float) -> dict:
@@ -92,18 +99,18 @@ def test_scene_scores(tmp_path: Path) -> None:
     maps = torch.zeros(1, 40, 60)
     maps[0, 10:30, 20:40] = 1
     both = torch.stack([maps, maps], 1)
-    scene = PROTOCOL.score("kitchen", ((frame, both[:, : len(frame.labels)]) for frame in frames))
+    scene = scored(PROTOCOL, "kitchen", ((frame, both[:, : len(frame.labels)]) for frame in frames))
     assert [(pair.frame, pair.label, pair.hit) for pair in scene.pairs] == [
         ("a", "cup", True), ("b", "cup", True), ("b", "pot", False),
     ]  # fmt: skip
     assert scene.accuracy == pytest.approx(2 / 3)
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 3)
-    other = PROTOCOL.score("other", [(frames[0], maps[None])])
+    other = scored(PROTOCOL, "other", [(frames[0], maps[None])])
     assert overall([scene, other])[1] == pytest.approx((2 / 3 + 1) / 2)
     for wrong in (maps[None], torch.zeros(1, 3, 40, 60), maps):
         with refuses():
             PROTOCOL.score_frame(frames[1], wrong)
-    for nothing in (lambda: PROTOCOL.score("none", []), lambda: overall([])):
+    for nothing in (lambda: scored(PROTOCOL, "none", []), lambda: overall([])):
         with refuses():
             nothing()
 
@@ -240,7 +247,7 @@ def test_empty_masks() -> None:
 def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None:
     frames = threed_ovs.read_segmentations(write_scene(tmp_path))
     maps = [torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1)]
-    scene = threed_ovs.PROTOCOL.score("sofa", zip(frames, maps, strict=True))
+    scene = scored(threed_ovs.PROTOCOL, "sofa", zip(frames, maps, strict=True))
     assert len(scene.pairs) == 6
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 6)
     assert overall([scene]) == (scene.miou, None)
@@ -310,4 +317,4 @@ def test_scores() -> None:
         score_scene("s", scene, [(frame, camera)], {"cup": left})
     boxed = LabelledFrame("a", 40, 30, {"cup": truth}, {"cup": torch.zeros(1, 4)})
     with refuses():  # scores of two protocols are never averaged together
-        overall([score, lerf_ovs.PROTOCOL.score("s", [(boxed, torch.rand(3, 1, 30, 40))])])
+        overall([score, scored(lerf_ovs.PROTOCOL, "s", [(boxed, torch.rand(3, 1, 30, 40))])])

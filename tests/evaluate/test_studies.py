@@ -29,11 +29,9 @@ from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene, UpliftInputs
 from scoup_lab.baselines.sparse import SparseUplift
+from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.evaluate import pixel_evaluation
 from scoup_lab.evaluate.label_vectors import encode_labels
-from scoup_lab.evaluate.pixel_evaluation import predict
-from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
@@ -114,21 +112,22 @@ def check_phrases(given: list[Tensor], scene: StudyScene) -> None:
         torch.testing.assert_close(each, canonical, atol=1e-6, rtol=0)
 
 
-def test_evaluation_of_fields(scenes: list[StudyScene], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluation_of_fields(scenes: list[StudyScene]) -> None:
     """In 2D and by selection."""
     scene, rasterised = scenes[0], scenes[0].rasterised
     assert len(scene.vectors.everyday) == len(LABELS) + 30
     assert len(scene.vectors.with_everyday().canonical) == 5  # there are enough words for a fifth
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=SETTINGS.build)
     recorder: Any = Recorder(FittedField(built), [])
-    monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
-    maps = list(predict(scene.labelled, scene.vectors, built))
-    assert len(maps) == len(recorder.given) == 2
-    selection.score_method(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
+    clock, stages = Stopwatch(), []
+    scene.scores(recorder, {"": ScoringRule(RULE)}, lambda *told: stages.append(told), clock)
+    assert stages == [("scoring frames", done, 2) for done in range(3)]
+    assert len(clock.seconds["query"]) == len(recorder.given) == 2
+    scene.selection_score(recorder)
     assert len(recorder.given) == 4
     check_phrases([scene.vectors.canonical, *recorder.given], scene)
-    for frame, found in maps:
-        camera = rasterised.cameras[frame.name]
+    for frame, camera in scene.labelled.frames:
+        found = scene.relevancy(recorder, frame, camera)
         expected = built.relevancy(camera, scene.vectors.of(frame.labels), scene.vectors.canonical)
         torch.testing.assert_close(found.float(), expected, atol=2e-3, rtol=0)
 
@@ -196,7 +195,7 @@ def test_results_are_kept_until_something_changes(scenes: list[StudyScene], tmp_
     stages: list[str] = []
     first = study.results(scenes[:1], lambda stage, *_: stages.append(stage))
     check_phrases(given, scenes[0])
-    assert {"compare", "autoencoder"} == set(stages)
+    assert {"compare", "autoencoder", "scoring frames"} == set(stages) - {"region sums"}  # which are kept
     title = "autoencoder (2 of 100 epochs)"
     assert [result.method for result in first] == ["centre-pixel", title]
     assert lines[1].startswith(f"scene 0, {title}: mIoU ")
@@ -255,7 +254,7 @@ def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
     scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
     peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
     assert peaks[0] == peaks[1]
-    assert scores["all"].pairs == scene.score(fitted, RULE).pairs
+    assert scores["all"].pairs == scene.scores(fitted, {"": ScoringRule(RULE)})[""].pairs
 
 
 def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:
@@ -266,8 +265,8 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     rules = {"kept": ScoringRule(RULE), "dropped": row.rule(RULE)}
     assert isinstance(fitted, FittedField)
     gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
-    drawn = scene.maps(fitted, rules.values())
-    for (frame, maps), (_, camera) in zip(drawn, scene.labelled.frames, strict=True):
+    for frame, camera in scene.labelled.frames:
+        maps = [scene.relevancy(fitted, frame, camera, (False, coded)) for coded in (False, True)]
         queries, canonical = scene.vectors.of(frame.labels), scene.vectors.canonical
         for level, coded in enumerate(fitted.coded()):
             assert 0 < int(coded.sum()) < len(gaussians)
@@ -281,8 +280,8 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
             cosines = unit(image) @ torch.cat([queries, canonical]).T
             expected = torch.sigmoid(10 * (cosines[..., :2, None] - cosines[..., None, 2:])).amin(-1)
             expected[image.abs().sum(-1) == 0] = 0.5
-            torch.testing.assert_close(maps[False, True][level], expected.permute(2, 0, 1), atol=2e-3, rtol=0)
-            assert not torch.allclose(maps[False, False][level], maps[False, True][level], atol=1e-2)
+            torch.testing.assert_close(maps[1][level], expected.permute(2, 0, 1), atol=2e-3, rtol=0)
+            assert not torch.allclose(maps[0][level], maps[1][level], atol=1e-2)
     scores = scene.scores(fitted, rules)
     assert scores["kept"].pairs != scores["dropped"].pairs
     with refuses():

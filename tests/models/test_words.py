@@ -80,6 +80,10 @@ def test_missing_word_lists_the_nearest_names_and_the_file(tmp_path: Path) -> No
     encoder = TextEncoder.open(tmp_path / "words.npz")
     with refuses(UnknownNameError):
         encoder.encode(["chair", "appel"])
+    for model in ("some/model", "a demo (simulated)"):  # only the first can be used instead
+        WordTable.save(tmp_path / "named.npz", NAMES, VECTORS, model=model, overwrite=True)
+        with refuses(UnknownNameError):
+            TextEncoder.open(tmp_path / "named.npz").encode(["appel"])
     for phrases in ("apple", [" "], [NAMES[0], "ab" * 1_000_000]):  # long texts are not repeated
         with refuses():
             encoder.encode(phrases)

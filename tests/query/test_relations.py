@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from messages import refuses
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
 from scoup.base import UnknownNameError
+from scoup.models import TextEncoder
 from scoup.query.ask import apart
 from scoup.query.language_field import LanguageField
-from scoup.query.phrases import parse_phrase
+from scoup.query.phrases import explained, parse_phrase
+from scoup.query.question import literal
 from scoup.query.relation_rules import CONDITIONS, Shapes, touching_things
 from scoup.query.relations import resolve
 from support import examples
@@ -135,6 +137,20 @@ def test_words_that_are_not_known_are_named(room) -> None:
         room.things("mug beyond the laptop")
     with refuses(UnknownNameError):
         room.things("mug left of the dragon")
+    for text in (
+        "the red Mug",
+        "two mugs",
+        "tallest pen behind the laptop",
+        '"mug on the table"',
+        "red dragon",
+    ):
+        with refuses(UnknownNameError):
+            room.things(text)
+    named = TextEncoder.open({"mug": [1.0, 0], "red": [0, 1.0]})
+    with refuses(UnknownNameError):
+        raise explained(UnknownNameError("text", "red mug", ["mug"], "", "ask it, or use a model"), named)
+    with refuses(UnknownNameError):
+        room.label(literal(["red mug"]))
 
 
 @pytest.mark.parametrize("height", [0.02, 0.3])

@@ -13,15 +13,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from scoup.base import (
-    InputError,
-    ScoupError,
-    UnknownNameError,
-    card,
-    check_arguments,
-    counted,
-    listed,
-)
+from scoup.base import InputError, ScoupError, UnknownNameError, card, check_arguments, counted, listed
 from scoup.models import words
 from scoup.models.embedders import TEXT_MODELS, open_text_model
 from scoup.models.entry import Encode
@@ -36,7 +28,8 @@ _NO_WORDS = (
     "extract them with a CLIP model as embedder and build the field again"
 )
 _BATCH = 64
-OTHER_WORDS = "ask one of its names, or use the model that embedded the regions instead of this table"
+_OTHER_WORDS = "ask one of its names"
+_OR_MODEL = ", or use the model that embedded the regions instead of this table"
 ARTICLES = ("the", "a", "an")
 LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
@@ -164,6 +157,8 @@ class TextEncoder:
         vectors = torch.from_numpy(table.vectors)
         exact = {name: row for row, name in reversed(list(enumerate(table.names)))}
         folded = {name.strip().casefold(): row for row, name in reversed(list(enumerate(table.names)))}
+        # No model has a blank in its name; simulated vectors are named so.
+        remedy = _OTHER_WORDS + (_OR_MODEL if table.model and " " not in table.model else "")
 
         def encode(phrases: list[str]) -> Tensor:
             rows = []
@@ -172,9 +167,7 @@ class TextEncoder:
                 forms = (folded[form] for form in word_forms(phrase) if form in folded)
                 row = next(forms, None) if row is None else row
                 if row is None:
-                    raise UnknownNameError(
-                        "text embedding", phrase, table.names, str(table.path), OTHER_WORDS
-                    )
+                    raise UnknownNameError("text embedding", phrase, table.names, str(table.path), remedy)
                 rows.append(row)
             return vectors[rows]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from scoup.base import InputError
-from scoup.models import ARTICLES
+from scoup.base import InputError, UnknownNameError
+from scoup.models import ARTICLES, CANONICAL_PHRASES, TextEncoder
 
 RELATIONS: dict[str, tuple[str, ...]] = {
     "left of": ("to the left of", "on the left of", "left of"),
@@ -45,17 +45,7 @@ _ANYTHING = ("what", "what's", "thing", "things", "object", "objects", "anything
 _FILLERS = ("is", "are", "that", "which", "there")
 """Words before a relation that say nothing."""
 OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
-RESERVED = frozenset(
-    word
-    for words in (
-        *SIZES,
-        *ORDINALS,
-        *OPERATORS,
-        *_UNKNOWN,
-        *_FORMS,
-    )
-    for word in words.split()
-)
+RESERVED = frozenset(" ".join((*SIZES, *ORDINALS, *OPERATORS, *_UNKNOWN, *_FORMS)).split())
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
 _STOPS = ",;."  # after a noun
 _SPACE = "\0"  # before each word in double quotes
@@ -136,6 +126,21 @@ def parse_phrase(text: str) -> Target:
         'coffee mug'
     """
     return _parse(text.split(), text, 0)
+
+
+def explained(error: UnknownNameError, encoder: TextEncoder) -> UnknownNameError:
+    """Return the error of a text that a word table lacks, with the longest part that the table has, and phrases of
+    it; the same error where it has none."""
+    words = [word for word in error.name.split() if word.lower() not in ARTICLES]
+    spans = sorted((stop - start, start) for stop in range(len(words) + 1) for start in range(stop))
+    for length, start in reversed(spans if RESERVED.isdisjoint(word.lower() for word in words) else ()):
+        part = " ".join(words[start : start + length])
+        if part in encoder and part.lower() not in CANONICAL_PHRASES:
+            rest, word = " ".join(words[:start] + words[start + length :]), encoder.word_of(part)
+            remedy = f"{word!r} is one of its names, {rest!r} is not; ask {word!r}, 'largest {word}' or 'second {word} "
+            remedy += "from the left' (docs/things.md)" + "".join(error.remedy.partition(", or ")[1:])
+            return UnknownNameError(error.kind, error.name, error.nearest, error.where, remedy)
+    return error
 
 
 def quoted(text: str) -> str:

@@ -14,15 +14,10 @@ from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
 from scoup.field import Field, NameTable
-from scoup.models import (
-    CANONICAL_PHRASES,
-    LEAST_WORDS,
-    TextEncoder,
-    with_everyday,
-    words_problem,
-)
+from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, with_everyday, words_problem
 from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
+from scoup.query.phrases import explained
 from scoup.query.presence import check_share, presence_threshold
 from scoup.scene import LEAST_EMBEDDING, query_vectors
 
@@ -189,7 +184,7 @@ def make_question(
         alone = [tree.root for _, tree in asked if isinstance(tree.root, str)]
         every = [*dict.fromkeys(text for _, tree in asked for text in tree.texts)]
         words = alone if len(alone) == len(asked) else every
-        vectors = encode_texts(encoder, words)
+        vectors = encode_texts(encoder, words, any(isinstance(text, str) for text in given))
         if not words:
             queries = query_vectors(_given_vectors(texts), field.dim)
             names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
@@ -306,17 +301,24 @@ def check_encoder(field: Field, encoder: TextEncoder) -> None:
     warn_of_another_model(encoder.name, field.embedding_model, encoder.source)
 
 
-def encode_texts(encoder: TextEncoder, texts: Sequence[str]) -> TextVectors:
+def encode_texts(encoder: TextEncoder, texts: Sequence[str], parsed: bool = True) -> TextVectors:
     """Encode texts to query fields with, the canonical phrases, and everyday words.
 
     Args:
         encoder: of the model whose embeddings the fields contain.
         texts: Q phrases.
+        parsed: whether texts with relations and orders could have been asked in their place; for the error.
+
+    Raises:
+        UnknownNameError: the table lacks a text.
 
     Warns:
         ScoupWarning: the table lacks the canonical phrases.
     """
-    queries = encoder.encode(texts)
+    try:
+        queries = encoder.encode(texts)
+    except UnknownNameError as error:
+        raise explained(error, encoder) if parsed else error from None
     try:
         canonical = encoder.canonical()
     except UnknownNameError as error:

@@ -30,7 +30,7 @@ class MethodSettings:
     )  # of the sparse codes; methods may change some of it
     autoencoder: AutoencoderSettings = LANGSPLAT  # schedule of LangSplat's network
     joint: JointSettings = LANGSPLATV2  # schedule of codes learned through renderings (LangSplatV2)
-    progress: Progress = no_progress  # called while either is trained
+    progress: Progress = no_progress  # called while a method is fitted
 
 
 DEFAULTS = MethodSettings()
@@ -60,4 +60,4 @@ class Method(Entry):
 
     def fit(self, scene: RasterisedScene, settings: MethodSettings = DEFAULTS) -> FittedMethod:
         """Fit to a scene; the scene keeps region sums and codes for the next method."""
-        return self.uplift(scene.inputs(self.pixels, self.views), settings)
+        return self.uplift(scene.inputs(self.pixels, self.views, settings.progress), settings)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from scoup.base import Registry
 from scoup_lab.baselines.dense import dense_mean_uplift, dense_uplift
 from scoup_lab.baselines.method import Method
-from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleInView
+from scoup_lab.baselines.pixel_rules import AllPixels, CentrePixel, TopContributors, VisibleInView
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.baselines.trained import QuantisedUplift, autoencoded_uplift, joint_uplift
 from scoup_lab.baselines.visible_median import median_uplift
@@ -20,14 +20,18 @@ PRESETS = (
         SparseUplift(),
         "SCOUP, as this package builds by default",
         "Sparse codes lifted by blending weights, top-K vote.",
-        "Exact coding, 128 atoms, a second round, and things; the paper has Adam, 64 and one round.",
+        "Exact coding, 128 atoms, a second round, things, and region sums of at most 500 pixels; the paper has Adam, "
+        "64, one round and full size.",
+        AllPixels("auto"),
     ),
     Method(
         "sparse-all",
         SparseUplift(keep=0),
         "SCOUP, as this package builds by default, no top-K",
         "Sparse codes lifted by blending weights; all atoms of a Gaussian are kept.",
-        "Exact coding, 128 atoms, a second round, and things; the paper has Adam, 64 and one round.",
+        "Exact coding, 128 atoms, a second round, things, and region sums of at most 500 pixels; the paper has Adam, "
+        "64, one round and full size.",
+        AllPixels("auto"),
     ),
     Method(
         "sparse-64",

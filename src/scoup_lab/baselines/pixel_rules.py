@@ -14,16 +14,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError
+from scoup.base import InputError, Progress, no_progress
 from scoup.raster import ViewSums, merge
-from scoup.scene import Camera, Cameras, Gaussians, Regions
+from scoup.scene import Camera, Gaussians
 from scoup.uplift import BuildSettings, RegionSums, cameras_with_regions, region_sums
+
+if TYPE_CHECKING:
+    from scoup_lab.baselines.rasterised_scene import RasterisedScene
 
 PIXELS_AT_A_TIME = 1 << 17  # a band of rows: some ten million pairs of a Gaussian and a pixel at most
 
@@ -54,11 +58,12 @@ class PixelWeights:
 class AllPixels:
     """Every pixel counts, by the weight of the Gaussian in it."""
 
-    def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
-    ) -> RegionSums:
+    scale: float | Literal["auto"] = 1.0  # of the images, as in ``BuildSettings``
+
+    def region_sums(self, scene: RasterisedScene, progress: Progress = no_progress) -> RegionSums:
         """Return region sums of all views."""
-        return region_sums(gaussians, cameras, regions, BuildSettings(raster_preset=raster_preset, scale=1.0))
+        settings = BuildSettings(raster_preset=scene.raster_preset, scale=self.scale)
+        return region_sums(scene.gaussians, scene.cameras, scene.regions, settings, progress=progress)
 
 
 ALL_PIXELS = AllPixels()
@@ -76,17 +81,18 @@ class PairRule(ABC):
         """Filter the pairs of a whole view that count in its bands; by default all count."""
         return pairs
 
-    def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
-    ) -> RegionSums:
+    def region_sums(self, scene: RasterisedScene, progress: Progress = no_progress) -> RegionSums:
         """Return region sums of all views over the pairs that the rule keeps."""
-        sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
-        for camera in cameras_with_regions(cameras, regions):
+        gaussians, regions = scene.gaussians, scene.regions
+        sums = RegionSums.empty(gaussians, regions.levels, scene.raster_preset, scale=1.0)
+        views = cameras_with_regions(scene.cameras, regions)
+        for done, camera in enumerate(views, start=1):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
-            projection = raster.project(gaussians, camera, raster_preset)
+            projection = raster.project(gaussians, camera, scene.raster_preset)
             centres = centre_pixels(gaussians, camera)
             pixels = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
             sums.append(camera.name, _view_sums(self.of_view(pixels), labels), camera)
+            progress("region sums", done, len(views))
         sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
         return sums
 

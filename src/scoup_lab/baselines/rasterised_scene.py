@@ -5,25 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from scoup.coding import fit_codes
+from scoup.base import Progress, no_progress
 from scoup.field import ThingTable
 from scoup.scene import Cameras, Gaussians, Regions, SparseCodes
-from scoup.uplift import BuildSettings, RegionSums, find_things
+from scoup.uplift import (
+    BuildSettings,
+    RegionEmbeddings,
+    RegionSums,
+    cameras_with_regions,
+    code_regions,
+    find_things,
+    scene_preset,
+)
 from scoup_lab.baselines.pixel_rules import ALL_PIXELS, PixelRule
 
 Codes = tuple[list[SparseCodes], Tensor]
 """Codes of the regions of each level, and the codebook [S, L, D]."""
-
-
-def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-    """Return codes of the regions of each level, as ``scoup.build`` learns them."""
-    books = [fit_codes(rows, **settings.of_fit) for rows in embeddings]
-    return [book.codes for book in books], torch.stack([book.atoms for book in books])
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +41,13 @@ class UpliftInputs:
     # with the regions of these sums alone, for methods that render; None where only sums are at hand
     scene: RasterisedScene | None = None
 
-    def codes(self, settings: BuildSettings) -> Codes:
+    def codes(self, settings: BuildSettings, progress: Progress = no_progress) -> Codes:
         """Return codes of the embeddings, learned once for all settings that differ in the vote only."""
         of_codes = _of_codes(settings)
         if of_codes not in self.kept_codes:
-            self.kept_codes[of_codes] = learn_codes(self.embeddings, settings)
+            embeddings = RegionEmbeddings(self.sums.levels, self.embeddings, [])
+            learned = code_regions(embeddings, settings, progress=progress)
+            self.kept_codes[of_codes] = list(learned.codes), learned.codebook
         return self.kept_codes[of_codes]
 
     def things(self) -> ThingTable:
@@ -58,26 +62,34 @@ def _of_codes(settings: BuildSettings) -> BuildSettings:
 
 
 class RasterisedScene:
-    """The region sums of a scene, made when they are first needed and kept."""
+    """The region sums of a scene, made when they are first needed and kept.
+
+    ``preset``: of the rasteriser; its near plane is replaced where it cuts what the cameras see, as in ``scoup.build``.
+    """
 
     def __init__(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, preset: str = "inria"
     ) -> None:
         self.gaussians = gaussians
         self.cameras = cameras
         self.regions = regions
-        self.raster_preset = raster_preset
+        self._preset = preset
         self._sums: dict[PixelRule, RegionSums] = {}
         self._seconds: dict[PixelRule, float] = {}
         self._embeddings: dict[float, list[Tensor]] = {}  # by the share of the views, as the codes
         self._codes: dict[float, dict[BuildSettings, Codes]] = {}
 
-    def region_sums(self, pixels: PixelRule = ALL_PIXELS) -> RegionSums:
+    @cached_property
+    def raster_preset(self) -> str:
+        """The preset with the near plane of the scene."""
+        return scene_preset(self.gaussians, cameras_with_regions(self.cameras, self.regions), self._preset)
+
+    def region_sums(self, pixels: PixelRule = ALL_PIXELS, progress: Progress = no_progress) -> RegionSums:
         """Return region sums of the pixels that count by a rule."""
         if pixels not in self._sums:
+            _ = self.raster_preset  # its seconds do not count
             started = time.perf_counter()
-            made = pixels.region_sums(self.gaussians, self.cameras, self.regions, self.raster_preset)
-            self._sums[pixels] = made
+            self._sums[pixels] = pixels.region_sums(self, progress)
             self._seconds[pixels] = time.perf_counter() - started
         return self._sums[pixels]
 
@@ -86,9 +98,11 @@ class RasterisedScene:
         self.region_sums(pixels)
         return self._seconds[pixels]
 
-    def inputs(self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0) -> UpliftInputs:
+    def inputs(
+        self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0, progress: Progress = no_progress
+    ) -> UpliftInputs:
         """Return the inputs of a method from a share of the views, spread evenly."""
-        sums = self.region_sums(pixels)
+        sums = self.region_sums(pixels, progress)
         regions = self.regions if views == 1 else spread_views(self.regions, views)
         if views not in self._embeddings:
             self._embeddings[views] = [regions.embeddings(level)[0] for level in regions.levels]

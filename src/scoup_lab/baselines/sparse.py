@@ -8,6 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from scoup.base import Progress, no_progress
 from scoup.uplift import BuildSettings, GaussianCodes, vote
 from scoup_lab.baselines.fitted import FittedField, fitted_field
 from scoup_lab.baselines.method import MethodSettings
@@ -26,22 +27,20 @@ class SparseUplift:
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
         build = replace(settings.build, seed=settings.seed, **self.changes)
-        codes, codebook = vote_codes(inputs, build)
+        codes, codebook = vote_codes(inputs, build, settings.progress)
         if self.dropped is not None:
-            whole, _ = vote_codes(inputs, build, all_kept=True)
+            whole, _ = vote_codes(inputs, replace(build, keep=0), settings.progress)
             codes = without_half(codes, whole, self.dropped)
         things = inputs.things() if build.things else None
         return fitted_field(inputs.sums, codes.indices, codes.weights, codebook, not build.keep, things)
 
 
 def vote_codes(
-    inputs: UpliftInputs, build: BuildSettings, all_kept: bool = False
+    inputs: UpliftInputs, build: BuildSettings, progress: Progress = no_progress
 ) -> tuple[GaussianCodes, Tensor]:
-    """Return codes of the Gaussians, and the codebook [S, L, D]; ``all_kept`` keeps every atom whatever the
-    settings say."""
-    codes, codebook = inputs.codes(build)
-    keep = None if all_kept else build.keep or None
-    return vote(inputs.sums, codes, codebook, build.rounds, keep), codebook
+    """Return codes of the Gaussians, and the codebook [S, L, D]."""
+    codes, codebook = inputs.codes(build, progress)
+    return vote(inputs.sums, codes, codebook, build.rounds, build.keep or None, progress=progress), codebook
 
 
 def without_half(codes: GaussianCodes, whole: GaussianCodes, half: Half) -> GaussianCodes:

@@ -59,14 +59,9 @@ def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCo
     if scene is None or sums.rows is None:
         raise InputError("codes learned through renderings need the scene, not its region sums alone")
     views = weights_of_views(scene, settings.joint.width)
+    embeddings, count = inputs.embeddings, sums.n_gaussians
     return fit_joint_codes(
-        views,
-        inputs.embeddings,
-        sums.rows,
-        sums.n_gaussians,
-        settings.joint,
-        settings.seed,
-        settings.progress,
+        views, embeddings, sums.rows, count, settings.joint, settings.seed, settings.progress
     )
 
 

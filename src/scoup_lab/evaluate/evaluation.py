@@ -12,7 +12,14 @@ from scoup.base import InputError, Progress, no_progress, reserved_output
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.query import LanguageField
 from scoup.scene import Gaussians
-from scoup.uplift import BuildSettings, FieldSources, build, embedding_source, open_sums
+from scoup.uplift import (
+    BuildSettings,
+    FieldSources,
+    build,
+    cameras_with_regions,
+    embedding_source,
+    open_sums,
+)
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
@@ -58,6 +65,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
         model, words = embedding_source(scene.features, regions, source)
+        views = cameras_with_regions(scene.cameras, regions)
         with reserved_output(path, overwrite=True) as work:
             if path.is_file():  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
@@ -67,7 +75,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 regions,
                 settings=settings,
                 sources=FieldSources(model, words, scene.splat),
-                sums=open_sums(work / "sums", gaussians, regions, settings, list(scene.cameras)),
+                sums=open_sums(work / "sums", gaussians, regions, settings, views),
                 progress=progress,
             )
             field.save(path, overwrite=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,9 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base import Progress, no_progress
-from scoup.io import save_png
-from scoup.query import LanguageField, TextVectors
+from scoup.io import load_regions, save_png
 from scoup_lab.baselines.fitted import FittedField
-from scoup_lab.data.labels import LabelledFrame
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
 from scoup_lab.evaluate.failures import failure_sheet
 from scoup_lab.evaluate.label_vectors import encode_labels
@@ -22,6 +21,7 @@ from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import PairScore, SceneScore
+from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 
 
 @dataclass(frozen=True)
@@ -58,18 +58,15 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         path = out / "fields" / f"{scene.name}.scoup"
         field = self.field(scene, path, source, progress)
         rule = self.protocol.rule(self.rules)
-        maps = predict(scene, vectors, field, progress=progress)
-        score = self.protocol.score(scene.name, maps, rule, field.levels)
-        selected = None
-        if self.selection:
-            raster_preset = field.info.raster_preset
-            selected = selection.score_method(
-                scene, vectors, FittedField(field), field.gaussians, raster_preset
-            )
+        regions = load_regions(scene.features, scene.cameras)
+        rasterised = RasterisedScene(field.gaussians, scene.cameras, regions, field.raster_preset)
+        study, fitted = StudyScene(scene, vectors, rasterised), FittedField(field)
+        score = study.scores(fitted, {"": ScoringRule(rule)}, progress)[""]
+        selected = study.selection_score(fitted) if self.selection else None
 
         def map_of(pair: PairScore) -> Tensor:
-            ((frame, of_frame),) = predict(scene, vectors, field, [pair.frame])
-            return of_frame[:, frame.labels.index(pair.label)]
+            ((frame, camera),) = (both for both in scene.frames if both[0].name == pair.frame)
+            return study.relevancy(fitted, frame, camera)[:, frame.labels.index(pair.label)]
 
         sheet = failure_sheet(score, scene, field, map_of, rule)
         save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
@@ -91,23 +88,3 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             of_gaussians = PixelScores(selection.PROTOCOL, rules, selected, published, shared, (note,))
             reports.append(of_gaussians.report(f"{self.protocol.name}_3d-selection", levels))
         return reports
-
-
-def predict(
-    scene: LabelledScene,
-    vectors: TextVectors,
-    field: LanguageField,
-    frames: Sequence[str] | None = None,
-    progress: Progress = no_progress,
-) -> Iterator[tuple[LabelledFrame, Tensor]]:
-    """Yield each labelled frame with its relevancy [S, Q, H, W], labels in its order.
-
-    ``frames``: names of the frames wanted; None for all.
-    """
-    fitted = FittedField(field)
-    wanted = [pair for pair in scene.frames if frames is None or pair[0].name in frames]
-    progress(f"predict {scene.name}", 0, len(wanted))
-    for done, (frame, camera) in enumerate(wanted, start=1):
-        queries, size = vectors.of(frame.labels), scene.map_size(frame, camera)
-        yield frame, fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
-        progress(f"predict {scene.name}", done, len(wanted))

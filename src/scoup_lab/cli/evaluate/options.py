@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from scoup.cli import (
-    CLIP_MODEL,
-    AllCommon,
-    Console,
-    Names,
-    arg,
-)
+from scoup.cli import CLIP_MODEL, AllCommon, Console, Names, arg
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from scoup_lab.evaluate.metrics import any_inside, iou
 from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES, LevelChoice, MaskRule
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
-from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup_lab.evaluate.scores import PairScore
 
 
 @dataclass(frozen=True)
@@ -97,18 +97,6 @@ class PixelProtocol(Entry):
             score = iou(answer.mask.cpu(), truth.masks[label])
             pairs.append(PairScore(frame.name, label, score, hit, rows[answer.level], answer.score, pixel))
         return pairs
-
-    def score(
-        self,
-        scene: str,
-        frames: Iterable[tuple[LabelledFrame, Tensor]],
-        rule: MaskRule | None = None,
-        levels: Sequence[str] = LEVELS,
-    ) -> SceneScore:
-        """Score all frames of a scene, given with their relevancy (a generator is fine)."""
-        rule = rule or self.rule()
-        pairs = [pair for frame, maps in frames for pair in self.score_frame(frame, maps, rule, levels)]
-        return scene_score(scene, rule.name, pairs, self.title)
 
     def rows(self, levels: Sequence[str]) -> list[int]:
         """Return the positions of the levels that may answer."""

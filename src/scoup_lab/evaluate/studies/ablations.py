@@ -75,12 +75,12 @@ class Ablations(Study[AblationResult]):
         progress("ablations", 0, total)
         for scene in scenes:
             for seed in self.seeds:
-                settings = MethodSettings(seed, BuildSettings(epochs=self.epochs))
+                settings = MethodSettings(seed, BuildSettings(epochs=self.epochs), progress=progress)
                 for method in methods:
                     if method.random or seed == self.seeds[0]:
                         fitted = method.fit(scene.rasterised, settings)
                         rules = {row.name: row.rule(self.rule) for row in self.rows if row.method is method}
-                        for name, score in scene.scores(fitted, rules).items():
+                        for name, score in scene.scores(fitted, rules, progress).items():
                             scores[name].setdefault(seed, []).append(score)
                     done += 1
                     progress("ablations", done, total)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
-import time
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,9 +15,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from scoup import raster
 from scoup.base import VERSION, Progress, no_progress, write_text
-from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.evaluation import Say, say_nothing
@@ -33,7 +32,7 @@ from scoup_lab.evaluate.scores import (
     rounded_ious,
 )
 from scoup_lab.evaluate.studies.study import Study
-from scoup_lab.evaluate.studies.study_scene import StudyScene
+from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from scoup_lab.evaluate.tables import CAVEATS, Table
 
 
@@ -127,23 +126,25 @@ class Comparison(Study[MethodResult]):
         """Return the name of a kept result, by all that it depends on."""
         matters = {"seed", "build", method.trained_by}
         settings = {name: value for name, value in asdict(self.settings).items() if name in matters}
-        described = [VERSION, settings, asdict(self.rule), self.selection, inputs]
+        # The code of a method that somebody is writing changes without a version.
+        code = inspect.getsource(sys.modules[method.uplift.__module__])
+        described = [VERSION, settings, asdict(self.rule), self.selection, inputs, repr(method.pixels), code]
         key = hashlib.sha256(json.dumps(described).encode()).hexdigest()
         return f"{method.name}_{key[:16]}.json"
 
     def _result(self, scene: StudyScene, method: Method, progress: Progress) -> MethodResult:
         rasterised = scene.rasterised
-        rasterised.inputs(method.pixels, method.views)  # not part of the fit
+        rasterised.inputs(method.pixels, method.views, progress)  # not part of the fit
         rasterised.forget_codes()  # each method pays for its own
         clock = Stopwatch()
         fitted = clock("fit", method.fit, rasterised, replace(self.settings, progress=progress))
         return MethodResult(
             method.title(self.settings),
-            scene.score(fitted, self.rule),
+            scene.scores(fitted, {"": ScoringRule(self.rule)}, progress, clock)[""],
             scene.selection_score(fitted) if self.selection else None,
             rasterised.seconds(method.pixels),
             clock.seconds["fit"][0],
-            _query_seconds(scene, fitted),
+            mean(clock.seconds["query"]),
             fitted.bytes_per_gaussian,
             fitted.shared_bytes,
         )
@@ -165,29 +166,11 @@ def _digest(tensor: Tensor) -> str:
     return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
 
 
-def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
-    seconds = []
-    for frame, camera in scene.labelled.frames:
-        projection = raster.project(scene.rasterised.gaussians, camera, scene.rasterised.raster_preset)
-        queries = scene.vectors.of(frame.labels)
-        size = scene.labelled.map_size(frame, camera)
-        started = time.perf_counter()
-        fitted.relevancy(projection, queries, scene.vectors.canonical, size)
-        seconds.append(time.perf_counter() - started)
-    return mean(seconds)
-
-
 def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
     """Return one row a method: means over scenes, each counting alike."""
     localizes = all(result.score.localizes for result in results)
     headers = ["method", "mIoU", "95 % interval", *(["localisation"] if localizes else [])]
-    headers += [
-        "rasterise, s",
-        "fit, s",
-        "query a frame, ms",
-        "bytes a Gaussian",
-        "shared, kB",
-    ]
+    headers += ["rasterise, s", "fit, s", "query a frame, ms", "bytes a Gaussian", "shared, kB"]
     rows = []
     for name, group in by_method(results).items():
         interval = miou_interval([result.score for result in group])

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError
+from scoup.base import InputError, Progress, no_progress
 from scoup.field import Field
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models import with_everyday
@@ -17,11 +17,12 @@ from scoup.query import TextVectors
 from scoup.scene import Camera, Gaussians, rows_of
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.rules import MaskRule
-from scoup_lab.evaluate.scores import SceneScore
+from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,7 @@ class ScoringRule:
     mask_rule: MaskRule  # constants and choice of the level
     levels: tuple[str, ...] | None = None  # names of levels that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
-    coded: bool = (
-        False  # draw only the Gaussians that have a code (``relevancy_of_coded``); of sparse codes only
-    )
+    coded: bool = False  # draw only Gaussians with a code (``relevancy_of_coded``); of sparse codes only
 
     @property
     def kind(self) -> tuple[bool, bool]:
@@ -53,46 +52,50 @@ class StudyScene:
     def name(self) -> str:
         return self.labelled.name
 
-    def maps(
-        self, fitted: FittedMethod, rules: Iterable[ScoringRule]
-    ) -> Iterator[tuple[LabelledFrame, dict[tuple[bool, bool], Tensor]]]:
-        """Yield each labelled frame with its relevancy [S, Q, H, W] for each kind of rule."""
-        kinds = sorted({rule.kind for rule in rules})
-        plain, scene = self.vectors.canonical, self.rasterised
-        phrases = {False: plain, True: with_everyday(plain, self.vectors.everyday)}
-        for frame, camera in self.labelled.frames:
-            projection = raster.project(scene.gaussians, camera, scene.raster_preset)
-            size = self.labelled.map_size(frame, camera)
-            queries, by_kind = self.vectors.of(frame.labels), {}
-            for everyday, coded in kinds:
-                canonical = phrases[everyday]
-                if coded:
-                    if not isinstance(fitted, FittedField):
-                        raise InputError(
-                            "only a method of sparse codes has Gaussians without a code to leave out"
-                        )
-                    maps = relevancy_of_coded(fitted, scene.gaussians, camera, queries, canonical, size)
-                else:
-                    maps = fitted.relevancy(projection, queries, canonical, size)
-                by_kind[everyday, coded] = maps
-            yield frame, by_kind
+    def relevancy(
+        self,
+        fitted: FittedMethod,
+        frame: LabelledFrame,
+        camera: Camera,
+        kind: tuple[bool, bool] = (False, False),
+        clock: Stopwatch | None = None,
+    ) -> Tensor:
+        """Return the relevancy [S, Q, H, W] of a labelled frame, labels in its order, for a kind of rule.
 
-    def score(self, fitted: FittedMethod, rule: MaskRule) -> SceneScore:
-        """Return the score by the protocol."""
-        return self.scores(fitted, {"": ScoringRule(rule)})[""]
+        ``clock``: adds the seconds of the query, without those of the projection.
+        """
+        (everyday, coded), scene = kind, self.rasterised
+        queries, size = self.vectors.of(frame.labels), self.labelled.map_size(frame, camera)
+        canonical = self.vectors.canonical
+        if everyday:
+            canonical = with_everyday(canonical, self.vectors.everyday)
+        if coded:
+            if not isinstance(fitted, FittedField):
+                raise InputError("only a method of sparse codes has Gaussians without a code to leave out")
+            return relevancy_of_coded(fitted, scene.gaussians, camera, queries, canonical, size)
+        projection = raster.project(scene.gaussians, camera, scene.raster_preset)
+        return (clock or Stopwatch())("query", fitted.relevancy, projection, queries, canonical, size)
 
-    def scores(self, fitted: FittedMethod, rules: Mapping[str, ScoringRule]) -> dict[str, SceneScore]:
+    def scores(
+        self,
+        fitted: FittedMethod,
+        rules: Mapping[str, ScoringRule],
+        progress: Progress = no_progress,
+        clock: Stopwatch | None = None,
+    ) -> dict[str, SceneScore]:
         """Return scores by the name of the rule. Maps are made once a frame for each kind of rule."""
-        pairs: dict[str, list] = {name: [] for name in rules}
-        protocol = ""
-        for frame, maps in self.maps(fitted, rules.values()):
+        pairs: dict[str, list[PairScore]] = {name: [] for name in rules}
+        kinds, frames = sorted({rule.kind for rule in rules.values()}), self.labelled.frames
+        progress("scoring frames", 0, len(frames))
+        for done, (frame, camera) in enumerate(frames, start=1):
+            maps = {kind: self.relevancy(fitted, frame, camera, kind, clock) for kind in kinds}
             for name, rule in rules.items():
-                score = self._score(frame, maps[rule.kind], rule)
-                pairs[name].extend(score.pairs)
-                protocol = score.protocol
+                pairs[name].extend(self._score(frame, maps[rule.kind], rule))
+            progress("scoring frames", done, len(frames))
+        title = self.labelled.protocol.title
         return {
-            name: SceneScore(self.name, rules[name].mask_rule.name, tuple(of_rule), protocol)
-            for name, of_rule in pairs.items()
+            name: scene_score(self.name, rule.mask_rule.name, pairs[name], title)
+            for name, rule in rules.items()
         }
 
     def selection_score(self, fitted: FittedMethod) -> SceneScore:
@@ -102,12 +105,12 @@ class StudyScene:
             self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset
         )
 
-    def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> SceneScore:
+    def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> list[PairScore]:
         levels = tuple(self.rasterised.regions.levels)
         if rule.levels is not None:
             # Other levels get the maps of one that may answer: protocols expect all levels.
             maps = maps[[levels.index(name if name in rule.levels else rule.levels[0]) for name in levels]]
-        return self.labelled.protocol.score(self.name, [(frame, maps)], rule.mask_rule, levels)
+        return self.labelled.protocol.score_frame(frame, maps, rule.mask_rule, levels)
 
 
 def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScene:
