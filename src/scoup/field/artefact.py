@@ -90,9 +90,9 @@ def read_field(path: Path) -> FieldParts:
 
     Everything in the file is read, once, and checked before any of it is used (``container.read_content``).
     """
-    content = read_content(path)
-    header, geometry = content.header, content.header["geometry"]
-    tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
+    header, arrays = read_content(path)
+    geometry = header["geometry"]
+    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     info = FieldInfo(
         levels=tuple(header["levels"]),
         embedding_model=header["embedding_model"],

@@ -22,8 +22,7 @@ settings as well by their mIoU (docs/answers.md#where-a-field-is-unsure)."""
 
 def read_facts(path: Path) -> dict[str, Any]:
     """Read a ``.scoup`` file, check all of it as ``LanguageField.load`` does, and return its facts as plain values."""
-    content = read_content(path)
-    header, arrays = content.header, content.arrays
+    header, arrays = read_content(path)
     geometry = header["geometry"]
     count, _, k = arrays["code_indices"].shape
     _, atoms, dim = arrays["codebook"].shape
@@ -42,8 +41,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
         "bytes_of_codebook": sizes.codebook,
         "cameras": len(header["cameras"] or ()),
-        "things": _count_things(arrays),
-        **_of_the_largest(arrays),
+        **_facts_of_things(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
         "fingerprint": geometry["fingerprint"],
         **({"frame": header["frame"]} if "frame" in header else {}),
@@ -51,20 +49,15 @@ def read_facts(path: Path) -> dict[str, Any]:
     }
 
 
-def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Return the number of things in ``field.things()``."""
+def _facts_of_things(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the number of things in ``field.things()``, and the share of the largest."""
     if "things.owners" not in arrays:
-        return 0
-    counts = np.bincount(arrays["things.owners"].ravel())
-    return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
-
-
-def _of_the_largest(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    if "things.owners" not in arrays:
-        return {}
-    share = _largest_share(arrays["things.owners"], arrays["things.levels"])
+        return {"things": 0}
+    owners, levels = arrays["things.owners"], arrays["things.levels"]
+    count = int(np.count_nonzero(np.bincount(owners.ravel())[: len(levels)] >= LEAST_GAUSSIANS))
+    share = _largest_share(owners, levels)
     doubt = _doubt(share)
-    return {"largest_thing": round(share, 3), **({"doubt": doubt} if doubt else {})}
+    return {"things": count, "largest_thing": round(share, 3), **({"doubt": doubt} if doubt else {})}
 
 
 def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, WorldFrame, check_arguments, counted
+from scoup.base import InputError, WorldFrame, check_arguments, counted, invalid_contents
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache, state_of
-from scoup.field.container import field_damage_named
+from scoup.field.container import INCOMPLETE
 from scoup.field.cosines import FieldCodes, PixelCosines, pixel_relevancy
 from scoup.field.field_info import FieldInfo, check_parts
 from scoup.field.renders import Vectors
@@ -466,7 +466,7 @@ class Field:
         check_arguments("LanguageField.load", path=(path, Path), gaussians=(gaussians, optional))
         path = Path(path)
         parts = read_field(path)
-        with field_damage_named(path):
+        with invalid_contents(path, *INCOMPLETE):
             codes = parts.code_indices, parts.code_weights, parts.codebook
             known = {
                 "geometry_path": parts.geometry_path,

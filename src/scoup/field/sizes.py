@@ -50,4 +50,4 @@ class PartSizes:
 
 def part_sizes(path: Path) -> PartSizes:
     """Return the sizes of the parts of a ``.scoup`` file."""
-    return PartSizes.of(read_content(path).arrays)
+    return PartSizes.of(read_content(path)[1])

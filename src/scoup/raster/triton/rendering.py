@@ -63,11 +63,6 @@ def render_channels(projection: TritonProjection, values: Tensor) -> tuple[Tenso
     return image, alpha
 
 
-def render_values(projection: TritonProjection, values: Tensor) -> Tensor:
-    """See ``raster.render_values``."""
-    return render_channels(projection, values)[0]
-
-
 @dataclass(frozen=True)
 class ChannelBlocks:
     """Channels that one program renders, of so many Gaussians at a time, with so many warps."""
