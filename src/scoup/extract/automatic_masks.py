@@ -181,10 +181,7 @@ def _upscaled(
 
 
 def _from_coarse(
-    encoded: EncodedImage,
-    batches: list[_Coarse],
-    settings: MaskSettings,
-    size: tuple[int, int],
+    encoded: EncodedImage, batches: list[_Coarse], settings: MaskSettings, size: tuple[int, int]
 ) -> list[Candidates]:
     """Suppress boxes among the low-resolution masks of each channel, and upscale the rest."""
     logits, iou, stability, channels = (

@@ -15,14 +15,7 @@ from scoup.extract import constants
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
-from scoup.io import (
-    ScenePaths,
-    load_cameras,
-    load_gaussians,
-    save_png,
-    splat_source,
-    write_transforms,
-)
+from scoup.io import ScenePaths, load_cameras, load_gaussians, save_png, splat_source, write_transforms
 from scoup.pictures import as_picture, contact_sheet, sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene import Camera, Cameras, Gaussians, checked_direction

@@ -13,15 +13,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from scoup.base import (
-    InputError,
-    ScoupError,
-    UnknownNameError,
-    card,
-    check_arguments,
-    counted,
-    listed,
-)
+from scoup.base import InputError, ScoupError, UnknownNameError, card, check_arguments, counted, listed
 from scoup.models import words
 from scoup.models.embedders import TEXT_MODELS, open_text_model
 from scoup.models.entry import Encode
