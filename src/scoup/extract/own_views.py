@@ -59,7 +59,11 @@ def choose_cameras(
     """
     from scipy.stats import qmc
 
-    _check_numbers(width, height, count)
+    for name, value in (("width", width), ("height", height)):
+        if not LEAST_SIDE <= value <= MOST_SIDE:
+            raise InputError(f"`{name}` must be {LEAST_SIDE} to {MOST_SIDE} pixels, got {value}")
+    if count is not None and not 1 <= count <= MOST_COUNT:
+        raise InputError(f"`count` must be 1 to {MOST_COUNT} views, got {count}")
     rows = find_matter(gaussians)
     up = gaussians.world.up if up is None else up
     upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
@@ -88,14 +92,6 @@ def choose_cameras(
     return Cameras(
         replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )
-
-
-def _check_numbers(width: int, height: int, count: int | None) -> None:
-    for name, value in (("width", width), ("height", height)):
-        if not LEAST_SIDE <= value <= MOST_SIDE:
-            raise InputError(f"`{name}` must be {LEAST_SIDE} to {MOST_SIDE} pixels, got {value}")
-    if count is not None and not 1 <= count <= MOST_COUNT:
-        raise InputError(f"`count` must be 1 to {MOST_COUNT} views, got {count}")
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
-"""The facts of a language field's file, read without torch, which takes longer to start than they take to read."""
+"""Facts and sizes of a field's file, read without torch, which takes longer to start than they take to read."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,41 @@ from numpy.typing import NDArray
 from scoup.field.checks import weight_bits
 from scoup.field.container import place_of, read_content
 from scoup.field.content import LEAST_GAUSSIANS
-from scoup.field.sizes import PartSizes
 
 DOUBTFUL_SHARE = 0.4
 """A thing with this share of its level's Gaussians makes answers doubtful. Of nineteen fields, no other figure orders
 settings as well by their mIoU (docs/answers.md#where-a-field-is-unsure)."""
+
+
+@dataclass(frozen=True)
+class PartSizes:
+    """Bytes of the parts of a language field's file."""
+
+    gaussians: int  # how many there are
+    codes: int  # of all Gaussians at all levels
+    codebook: int  # of all levels
+    owners: int  # of the numbers that say to which things the Gaussians belong; 0 for none
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> PartSizes:
+        """Return the sizes of the tensors of a file."""
+        codes = arrays["code_indices"].nbytes + arrays["code_weights"].nbytes
+        owners = arrays["things.owners"].nbytes if "things.owners" in arrays else 0
+        return cls(len(arrays["code_indices"]), codes, arrays["codebook"].nbytes, owners)
+
+    @property
+    def codes_a_gaussian(self) -> float:
+        return self.codes / max(1, self.gaussians)
+
+    def __str__(self) -> str:
+        owners = f" and {self.owners / max(1, self.gaussians):.0f} of things" if self.owners else ""
+        codebook = f"a codebook of {self.codebook / 1e3:,.0f} kB"
+        return f"{self.codes_a_gaussian:.0f} bytes of codes{owners} a Gaussian, {codebook}"
+
+
+def part_sizes(path: Path) -> PartSizes:
+    """Return the sizes of the parts of a ``.scoup`` file."""
+    return PartSizes.of(read_content(path)[1])
 
 
 def read_facts(path: Path) -> dict[str, Any]:
