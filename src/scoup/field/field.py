@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base import InputError, WorldFrame, check_arguments, counted, invalid_contents
-from scoup.field.artefact import FieldParts, read_field, write_field
+from scoup.field.artefact import read_field, write_field
 from scoup.field.cache import Cache, state_of
 from scoup.field.container import INCOMPLETE
 from scoup.field.cosines import FieldCodes, PixelCosines, pixel_relevancy, relevancy
@@ -447,17 +447,7 @@ class Field:
         """
         if embed_geometry is None:
             embed_geometry = self.geometry_path is None and self.has_geometry
-        parts = FieldParts(
-            self.code_indices,
-            self.code_weights,
-            self.codebook,
-            self.info,
-            self.gaussians if embed_geometry else None,
-            self.geometry_path,
-            self.cameras,
-            self.thing_table,
-        )
-        write_field(parts, Path(path), overwrite, weight_bits)
+        write_field(self, Path(path), overwrite, embed_geometry, weight_bits)
         self.path = Path(path)
 
     @classmethod
@@ -480,20 +470,14 @@ class Field:
         optional = (Gaussians, type(None))
         check_arguments("LanguageField.load", path=(path, Path), gaussians=(gaussians, optional))
         path = Path(path)
-        parts = read_field(path)
+        arguments, embedded = read_field(path)
         with invalid_contents(path, *INCOMPLETE):
-            codes = parts.code_indices, parts.code_weights, parts.codebook
-            known = {
-                "geometry_path": parts.geometry_path,
-                "cameras": parts.cameras,
-                "thing_table": parts.things,
-            }
-            loaded = cls(*codes, parts.info, **known, **options)
+            loaded = cls(**arguments, **options)
         loaded.path = path
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
-        elif parts.gaussians is not None:
-            loaded.attach(parts.gaussians, known=True)  # the file is checked: their fingerprint, too
+        elif embedded is not None:
+            loaded.attach(embedded, known=True)  # the file is checked: their fingerprint, too
         return loaded
 
 

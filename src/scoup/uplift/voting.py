@@ -53,6 +53,9 @@ class PreparedVote:
     grams: Tensor  # [S, L, L] inner products of the atoms
     device: torch.device
 
+    def __post_init__(self) -> None:
+        """Check it, and bring it to the backend's form."""
+
 
 @dataclass(frozen=True, eq=False)
 class GaussianCodes:
