@@ -41,7 +41,7 @@ from scoup.base import (
 from scoup.io import convert_regions, load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.compact import open_view, write_view
-from scoup.io.regions.langsplat_rows import level_blocks
+from scoup.io.regions.langsplat import level_blocks
 from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions

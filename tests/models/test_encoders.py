@@ -21,11 +21,10 @@ import tiny_models
 from mask_samples import smooth_image
 from messages import refuses
 from scoup.base import ScoupError, ScoupWarning
-from scoup.models.dense import DenseModel, open_dense_model
+from scoup.models.dense import DenseModel, _starts, open_dense_model
 from scoup.models.image import open_clip_image_model, open_image_model
 from scoup.models.normalization import CLIP, HALF
 from scoup.models.text import TextEncoder
-from scoup.models.windows import _starts
 from support import unit
 from tiny_models import WORDS, save_text_clip, saved, tiny_clip, tiny_siglip, tiny_tips, tiny_tokenizer
 

@@ -16,6 +16,7 @@ from scoup.base.errors import (
     UnknownNameError,
     WriteError,
     check_format_version,
+    invalid_contents,
     looked_up,
 )
 from scoup.base.foreign_files import foreign_kind
@@ -88,6 +89,7 @@ __all__ = [
     "foreign_kind",
     "geometry_fingerprint",
     "html",
+    "invalid_contents",
     "lazy_names",
     "listed",
     "load_backend",

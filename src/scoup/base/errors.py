@@ -7,7 +7,8 @@ import errno
 import functools
 import stat
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -94,6 +95,18 @@ def check_format_version(path: str | Path, version: object, newest: int) -> None
         raise FileFormatError(path, f"has an invalid format version ({version!r})", "make it again")
     if version > newest:
         raise FieldVersionError(path, version, newest)
+
+
+@contextmanager
+def invalid_contents(path: Path, problem: str, remedy: str) -> Iterator[None]:
+    """Turn failures to interpret a file into a FileFormatError that names it, with the problem and its reason."""
+    try:
+        yield
+    except (FileFormatError, WriteError):
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise FileFormatError(path, f"{problem} ({reason})", remedy) from error
 
 
 class MissingFileError(FileFormatError, FileNotFoundError):

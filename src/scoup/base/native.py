@@ -84,8 +84,9 @@ def load_core() -> LoadedCore:
     except ModuleNotFoundError as error:
         if error.name != _MODULE:
             return LoadedCore(None, _broken(error))
+        how = f" ({_COMPILERS[sys.platform]})" if sys.platform in _COMPILERS else ""
         return LoadedCore(
-            None, f"the compiled core was not built; install a C++ compiler{_compiler()}, then {_AGAIN}"
+            None, f"the compiled core was not built; install a C++ compiler{how}, then {_AGAIN}"
         )
     except ImportError as error:
         return LoadedCore(None, _broken(error))
@@ -98,7 +99,3 @@ def load_core() -> LoadedCore:
 
 def _broken(error: ImportError) -> str:
     return f"the compiled core does not load ({' '.join(str(error).split())}); {_AGAIN}"
-
-
-def _compiler() -> str:
-    return f" ({_COMPILERS[sys.platform]})" if sys.platform in _COMPILERS else ""

@@ -54,21 +54,16 @@ def html(template: str, **values: Any) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """Return what a page contains for a value of a template."""
-    if getattr(value, "ndim", 0) == 3:
-        return _address(value)
-    return printable(value) if isinstance(value, str) else value
+    """Return what a page contains for a value of a template; of a picture [H, W, 3] uint8 its address, PNG inside."""
+    if getattr(value, "ndim", 0) != 3:
+        return printable(value) if isinstance(value, str) else value
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(value).save(stream, "PNG")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def card(title: str, facts: Mapping[str, Any], picture: NDArray[np.uint8] | None = None) -> str:
     """Return the HTML of a card: the title above, facts by name, and beside them a picture [H, W, 3]."""
     return html(_CARD, title=title, facts=facts, picture=picture)
-
-
-def _address(picture: NDArray[np.uint8]) -> str:
-    """Return a picture [H, W, 3] uint8 as the address of an image in a page, PNG inside."""
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, "PNG")
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from scoup.base.errors import WriteError
 
@@ -18,14 +18,6 @@ if TYPE_CHECKING:
 
 MOST_ROWS_IN_MEMORY = 8_000_000
 """Gaussians up to which everything about a scene is kept in memory; of more, most of it is in temporary files."""
-
-
-def temporary_file() -> IO[bytes]:
-    """Return a new file without a name, in the system's folder for such (TMPDIR); gone when it is closed."""
-    try:
-        return tempfile.TemporaryFile(prefix="scoup-", buffering=0)
-    except OSError as error:
-        raise refused_temporary(error) from error
 
 
 @contextmanager
@@ -46,22 +38,23 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Return zeros in a temporary file that is mapped into memory; the file disappears with the array."""
+    """Return zeros in a temporary file without a name (in TMPDIR) that is mapped into memory; the file disappears with
+    the array."""
     import numpy as np
 
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if not size:
         return np.zeros(shape, dtype)
-    with temporary_file() as stream:
-        try:
+    try:
+        with tempfile.TemporaryFile(prefix="scoup-", buffering=0) as stream:
             # Allocate the space now: writing into a mapping on a full disk kills the process.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(stream.fileno(), 0, size)
             else:
                 stream.truncate(size)
             return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
-        except OSError as error:
-            raise refused_temporary(error) from error
+    except OSError as error:
+        raise refused_temporary(error) from error
 
 
 def refused_temporary(error: OSError) -> WriteError:

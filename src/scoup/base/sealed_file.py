@@ -106,19 +106,7 @@ def _damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise FileFormatError.unreadable(path, error) from error
-    except (
-        SafetensorError,
-        ValueError,
-        KeyError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        own = (
-            not isinstance(error, SafetensorError) and str(error).splitlines()[:1]
-        )  # not the library's words
-        raise FileFormatError(
-            path, f"is not {what} or is damaged{f' ({own[0]})' if own else ''}", remedy
-        ) from error
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RuntimeError, OverflowError) as error:
+        words = [] if isinstance(error, SafetensorError) else str(error).splitlines()  # not the library's
+        reason = f" ({words[0]})" if words else ""
+        raise FileFormatError(path, f"is not {what} or is damaged{reason}", remedy) from error

@@ -68,7 +68,7 @@ def solve_adam(
         weights = logits.gather(1, support).softmax(1)
         loss, logit_gradient, atoms.grad = loss_and_gradients(ours, atoms, support, weights, arithmetic)
         losses.append(loss)
-        if _stalled(losses, tolerance):
+        if tolerance is not None and epoch > STOP_WINDOW and losses[-1 - STOP_WINDOW] - loss < tolerance:
             break
         logits.grad.zero_().scatter_(1, support, logit_gradient)
         optimizer.step()
@@ -122,11 +122,3 @@ def _update_support(support: Tensor, logits: Tensor) -> None:
     others = logits.scatter(1, support, -torch.inf).amax(1)
     changed = (others > supported.amin(1)).nonzero()[:, 0]
     support[changed] = logits[changed].topk(support.shape[1], dim=1).indices
-
-
-def _stalled(losses: list[float], tolerance: float | None) -> bool:
-    return (
-        tolerance is not None
-        and len(losses) > STOP_WINDOW
-        and losses[-1 - STOP_WINDOW] - losses[-1] < tolerance
-    )

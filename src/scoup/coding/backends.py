@@ -15,10 +15,7 @@ from scoup.base import load_backend
 from scoup.coding.arithmetic import ordered_sum
 from scoup.scene import SparseCodes, index_dtype
 
-BACKENDS = {
-    "native": "scoup.coding.native",
-    "reference": "scoup.coding.reference",
-}
+BACKENDS = {"native": "scoup.coding.native", "reference": "scoup.coding.reference"}
 
 
 class RowCodes(NamedTuple):

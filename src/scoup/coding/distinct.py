@@ -45,16 +45,11 @@ def distinct_rows(rows: Tensor, most: int) -> tuple[Tensor, Tensor] | None:
     """
     values = rows[:0]
     for block in rows.split(most + 1):
-        left = block if not len(values) else block[_cosines(block, values).amax(1) < 1 - SAME]
+        left = block if not len(values) else block[stable_products(block, values).amax(1) < 1 - SAME]
         while len(left):
             if len(values) == most:
                 return None
             values = torch.cat([values, left[:1]])
-            left = left[_cosines(left, left[:1])[:, 0] < 1 - SAME]
-    nearest = [_cosines(block, values).argmax(1) for block in rows.split(most + 1) if len(block)]
+            left = left[stable_products(left, left[:1])[:, 0] < 1 - SAME]
+    nearest = [stable_products(block, values).argmax(1) for block in rows.split(most + 1) if len(block)]
     return values, torch.cat(nearest) if nearest else torch.zeros(0, dtype=torch.long, device=rows.device)
-
-
-def _cosines(rows: Tensor, values: Tensor) -> Tensor:
-    """[R, M], the same for any number of threads where there is a compiled core."""
-    return stable_products(rows, values)

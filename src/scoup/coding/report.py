@@ -75,7 +75,7 @@ def report_on(
         loss=1.0 - mean,
         mean_cosine=mean,
         low_cosine=low,
-        dead_atoms=_dead_atoms(codes),
+        dead_atoms=1.0 - len(codes.indices.long()[codes.weights > 0].unique()) / codes.n_atoms,
         epochs=epochs,
         seconds=seconds,
         explained_from=explained_from(low, len(cosines), codes.n_atoms),
@@ -92,8 +92,3 @@ def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
     """
     factor = (regions + n_atoms) / (regions - n_atoms) if regions > n_atoms else 1.0
     return max(1.0 - (1.0 - low_cosine) * factor - ROUNDING, LEAST_EXPLAINED)
-
-
-def _dead_atoms(codes: SparseCodes) -> float:
-    used = codes.indices.long()[codes.weights > 0].unique()
-    return 1.0 - len(used) / codes.n_atoms

@@ -54,14 +54,7 @@ class SamSegmenter:
     def __init__(self, model: PointModel, settings: MaskSettings) -> None:
         self.model = model
         self.settings = settings
-
-    @property
-    def cut_last(self) -> bool:
-        return self.settings.cut_last
-
-    @property
-    def drop_hidden(self) -> bool:
-        return self.settings.drop_hidden
+        self.cut_last, self.drop_hidden = settings.cut_last, settings.drop_hidden
 
     def to_dict(self) -> dict[str, Any]:
         return {**self.model.to_dict(), **self.settings.to_dict()}
@@ -188,10 +181,7 @@ def _upscaled(
 
 
 def _from_coarse(
-    encoded: EncodedImage,
-    batches: list[_Coarse],
-    settings: MaskSettings,
-    size: tuple[int, int],
+    encoded: EncodedImage, batches: list[_Coarse], settings: MaskSettings, size: tuple[int, int]
 ) -> list[Candidates]:
     """Suppress boxes among the low-resolution masks of each channel, and upscale the rest."""
     logits, iou, stability, channels = (

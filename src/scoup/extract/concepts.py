@@ -36,9 +36,8 @@ def extract_concepts(
     settings = {**model.to_dict(), "max_height": max_height}
     store = DetectionStore.new(Path(folder), texts, settings)
     store.begin(overwrite)
-    assigned = [
-        replace(item, mask=None, masks_keep="white") for item in part.of(photographs)
-    ]  # words count anywhere
+    # Words count anywhere.
+    assigned = [replace(item, mask=None, masks_keep="white") for item in part.of(photographs)]
     report, moment = ExtractReport(), time.perf_counter()
     waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
     report.kept = len(assigned) - len(waiting)

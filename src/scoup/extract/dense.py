@@ -29,17 +29,14 @@ class DenseEmbedder:
         return {**self.model.to_dict(), "embedder_windows": WINDOWS}
 
     def embed_regions(self, image: Tensor, masks: Mapping[str, Masks]) -> dict[str, Tensor]:
-        size = self._scaled_size(image.shape[0], image.shape[1])
+        height, width = image.shape[:2]
+        patch, window = self.model.patch, self.model.side // self.model.patch
+        factor = WINDOWS * window / min(height, width)  # the shorter side fills the windows
+        size = round(height * factor) * patch, round(width * factor) * patch
         pixels = image.permute(2, 0, 1)[None].float() / 255
         scaled = functional.interpolate(pixels, size, mode="bilinear", antialias=True, align_corners=False)[0]
         tokens = self.model.tokens(scaled)
         return {level: self._pool(tokens, of_level) for level, of_level in masks.items()}
-
-    def _scaled_size(self, height: int, width: int) -> tuple[int, int]:
-        """Return multiples of the patch such that the shorter side fills the windows."""
-        patch, window = self.model.patch, self.model.side // self.model.patch
-        factor = WINDOWS * window / min(height, width)
-        return round(height * factor) * patch, round(width * factor) * patch
 
     def _pool(self, tokens: Tensor, masks: Masks) -> Tensor:
         shares = area_shares(masks, tokens.shape[0], tokens.shape[1]).to(tokens.device)

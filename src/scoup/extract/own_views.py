@@ -15,14 +15,7 @@ from scoup.extract import constants
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
-from scoup.io import (
-    ScenePaths,
-    load_cameras,
-    load_gaussians,
-    save_png,
-    splat_source,
-    write_transforms,
-)
+from scoup.io import ScenePaths, load_cameras, load_gaussians, save_png, splat_source, write_transforms
 from scoup.pictures import as_picture, contact_sheet, sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene import Camera, Cameras, Gaussians, checked_direction
@@ -66,7 +59,11 @@ def choose_cameras(
     """
     from scipy.stats import qmc
 
-    _check_numbers(width, height, count)
+    for name, value in (("width", width), ("height", height)):
+        if not LEAST_SIDE <= value <= MOST_SIDE:
+            raise InputError(f"`{name}` must be {LEAST_SIDE} to {MOST_SIDE} pixels, got {value}")
+    if count is not None and not 1 <= count <= MOST_COUNT:
+        raise InputError(f"`count` must be 1 to {MOST_COUNT} views, got {count}")
     rows = find_matter(gaussians)
     up = gaussians.world.up if up is None else up
     upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
@@ -95,14 +92,6 @@ def choose_cameras(
     return Cameras(
         replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )
-
-
-def _check_numbers(width: int, height: int, count: int | None) -> None:
-    for name, value in (("width", width), ("height", height)):
-        if not LEAST_SIDE <= value <= MOST_SIDE:
-            raise InputError(f"`{name}` must be {LEAST_SIDE} to {MOST_SIDE} pixels, got {value}")
-    if count is not None and not 1 <= count <= MOST_COUNT:
-        raise InputError(f"`count` must be 1 to {MOST_COUNT} views, got {count}")
 
 
 @dataclass(frozen=True)

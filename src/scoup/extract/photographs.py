@@ -64,9 +64,7 @@ class Pixels:
 
 
 def find_photographs(
-    scene: str | Path,
-    images: str | Path | None = None,
-    masks: Literal["white", "black", False] | None = None,
+    scene: str | Path, images: str | Path | None = None, masks: Literal["white", "black", False] | None = None
 ) -> list[Photograph]:
     """Return the photographs of a scene, in order of their names, with their masks: those that cameras name, else files
     as COLMAP (masks/x.jpg.png), LichtFeld Studio and Brush (masks/x.png), RealityScan (x.jpg.mask.png) and 3DGRUT
@@ -112,10 +110,7 @@ def _mask_of(name: str, image: Path) -> Path | None:
 
 
 def read_photograph(
-    path: Path,
-    max_height: int | None = 1080,
-    mask: Path | None = None,
-    masks_keep: Keeps = "white",
+    path: Path, max_height: int | None = 1080, mask: Path | None = None, masks_keep: Keeps = "white"
 ) -> Pixels:
     """Decode a photograph and its mask: upright by the photograph's EXIF orientation, RGB, 8 bits.
 

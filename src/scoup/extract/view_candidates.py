@@ -105,17 +105,13 @@ def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> 
     nearby = []
     for camera in cameras:
         eye, forward = matter.axes @ camera.position, matter.axes @ camera.viewmat[2, :3]
-        heading, pitch = (
-            math.atan2(float(forward[1]), float(forward[0])),
-            math.asin(float(forward[2].clamp(-1, 1))),
-        )
+        heading = math.atan2(float(forward[1]), float(forward[0]))
+        pitch = math.asin(float(forward[2].clamp(-1, 1)))
         for draw in draws:
             position = eye + constants.MOVE * matter.radius * draw[:3]
             angle = heading + math.radians(constants.TURN) * float(draw[3])
-            level = min(
-                max(pitch + math.radians(constants.TURN) * float(draw[4]), constants.LOWEST),
-                constants.HIGHEST,
-            )
+            level = pitch + math.radians(constants.TURN) * float(draw[4])
+            level = min(max(level, constants.LOWEST), constants.HIGHEST)
             aim = position + _way(angle, level)
             if (near := look(position, aim, matter, "", camera.width, camera.height, camera.fx)) is not None:
                 nearby.append(near)

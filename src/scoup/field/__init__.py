@@ -19,7 +19,7 @@ _HOMES = {
     "NameTable": "scoup.field.thing_table",
     "ThingTable": "scoup.field.thing_table",
     "doubt_of": "scoup.field.facts",
-    "part_sizes": "scoup.field.sizes",
+    "part_sizes": "scoup.field.facts",
     "place_of": "scoup.field.container",
     "read_facts": "scoup.field.facts",
     "relative_place": "scoup.field.container",
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from scoup.field.content import LEAST_GAUSSIANS as LEAST_GAUSSIANS
     from scoup.field.cosines import relevancy as relevancy
     from scoup.field.facts import doubt_of as doubt_of
+    from scoup.field.facts import part_sizes as part_sizes
     from scoup.field.facts import read_facts as read_facts
     from scoup.field.field import Field as Field
     from scoup.field.field_info import FieldInfo as FieldInfo
-    from scoup.field.sizes import part_sizes as part_sizes
     from scoup.field.thing_table import NO_THING as NO_THING
     from scoup.field.thing_table import NameTable as NameTable
     from scoup.field.thing_table import ThingTable as ThingTable

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -23,76 +24,62 @@ from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
 from scoup.scene import Camera, Cameras, Gaussians
 
+if TYPE_CHECKING:
+    from scoup.field.field import Field
+
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _NAMES = ("presence", "rows", "things", "votes")
 
 
-@dataclass(frozen=True, eq=False)
-class FieldParts:
-    """The contents of a ``.scoup`` file; attributes as those of ``LanguageField``.
-
-    ``gaussians`` are those embedded in the file, or to be embedded; None for none.
-    """
-
-    code_indices: Tensor  # [N, S, K]
-    code_weights: Tensor  # [N, S, K]
-    codebook: Tensor  # [S, L, D]
-    info: FieldInfo
-    gaussians: Gaussians | None
-    geometry_path: Path | None
-    cameras: Cameras | None
-    things: ThingTable | None = None
-
-
-def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
+def write_field(field: Field, path: Path, overwrite: bool, embed_geometry: bool, weight_bits: int) -> None:
     """Write a field; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
         raise InputError(f"code weights must have 8 or 16 bits, got {weight_bits}")
     check_output(path, overwrite=overwrite)
-    weights = parts.code_weights
+    info, weights, things = field.info, field.code_weights, field.thing_table
     if weight_bits == 8:
         # In steps of each code's largest weight, so that no code is rounded away.
         largest = weights.float().amax(-1, keepdim=True).clamp(min=torch.finfo(torch.float16).tiny)
         weights = (weights.float() / largest * 255).round().to(torch.uint8)
-    tensors = {"code_indices": parts.code_indices, "code_weights": weights, "codebook": parts.codebook}
-    if parts.gaussians is not None:
-        tensors |= {f"geometry.{name}": getattr(parts.gaussians, name) for name in _GEOMETRY}
-    if parts.cameras is not None:
-        tensors |= _camera_tensors(parts.cameras)
-    if parts.things is not None:
-        tensors |= _thing_tensors(parts.things)
-    names = None if parts.things is None else parts.things.names
+    tensors = {"code_indices": field.code_indices, "code_weights": weights, "codebook": field.codebook}
+    if embed_geometry:
+        tensors |= {f"geometry.{name}": getattr(field.gaussians, name) for name in _GEOMETRY}
+    if field.cameras is not None:
+        tensors |= _camera_tensors(field.cameras)
+    if things is not None:
+        tensors |= _thing_tensors(things)
+    names = None if things is None else things.names
     if names is not None:
         tensors |= {f"names.{name}": getattr(names, name) for name in _NAMES}
     arrays = {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}
     header = {
         "schema": SCHEMA,
         "version": VERSION,
-        "levels": list(parts.info.levels),
-        "embedding_model": parts.info.embedding_model,
-        "words": relative_place(path, parts.info.words),
-        "raster_preset": parts.info.raster_preset,
+        "levels": list(info.levels),
+        "embedding_model": info.embedding_model,
+        "words": relative_place(path, info.words),
+        "raster_preset": info.raster_preset,
         "geometry": {
-            "fingerprint": parts.info.fingerprint,
-            "n_gaussians": parts.info.n_gaussians,
-            "path": relative_place(path, parts.geometry_path),
+            "fingerprint": info.fingerprint,
+            "n_gaussians": info.n_gaussians,
+            "path": relative_place(path, field.geometry_path),
         },
-        "cameras": None if parts.cameras is None else list(parts.cameras.names),
-        "provenance": parts.info.provenance,
+        "cameras": None if field.cameras is None else list(field.cameras.names),
+        "provenance": info.provenance,
         **({} if names is None else {"names": list(names.texts)}),
-        **frame_entry(parts.info.world),
+        **frame_entry(info.world),
     }
     write_content(path, header, arrays, overwrite)
 
 
-def read_field(path: Path) -> FieldParts:
-    """Read a ``.scoup`` file; see ``LanguageField.load``.
+def read_field(path: Path) -> tuple[dict[str, Any], Gaussians | None]:
+    """Return the arguments of a field from its file, and the Gaussians embedded in it; see ``LanguageField.load``.
 
     Everything in the file is read, once, and checked before any of it is used (``container.read_content``).
     """
-    content = read_content(path)
-    header, geometry = content.header, content.header["geometry"]
-    tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
+    header, arrays = read_content(path)
+    geometry = header["geometry"]
+    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     info = FieldInfo(
         levels=tuple(header["levels"]),
         embedding_model=header["embedding_model"],
@@ -109,17 +96,17 @@ def read_field(path: Path) -> FieldParts:
     gaussians = None
     if "geometry.means" in tensors:
         gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
-    return FieldParts(
-        tensors["code_indices"],
-        weights,
+    arguments = {
+        "code_indices": tensors["code_indices"],
+        "code_weights": weights,
         # The file does not align it; matrix products have the same bytes only with the same alignment.
-        tensors["codebook"].clone().float(),
-        info,
-        gaussians,
-        place_of(path, geometry["path"]),
-        _cameras(tensors, header["cameras"]),
-        _things(tensors, header.get("names")),
-    )
+        "codebook": tensors["codebook"].clone().float(),
+        "info": info,
+        "geometry_path": place_of(path, geometry["path"]),
+        "cameras": _cameras(tensors, header["cameras"]),
+        "thing_table": _things(tensors, header.get("names")),
+    }
+    return arguments, gaussians
 
 
 def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:

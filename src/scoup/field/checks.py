@@ -37,11 +37,7 @@ THINGS: Table = {
     "things.mass": ("float32", "T"),
     "things.stability": ("float32", "T"),
 }
-THINGS_IN_MEMORY: Table = {
-    **THINGS,
-    "things.owners": ("int32", "N S"),
-    "things.parents": ("int32", "T"),
-}
+THINGS_IN_MEMORY: Table = {**THINGS, "things.owners": ("int32", "N S"), "things.parents": ("int32", "T")}
 NAMES: Table = {
     "names.presence": ("float32", "M"),
     "names.rows": ("int32", "E"),

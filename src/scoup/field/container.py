@@ -6,9 +6,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +19,19 @@ from scoup.base import (
     WriteError,
     atomic_path,
     check_format_version,
+    invalid_contents,
 )
 from scoup.field.content import check_content
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
 REBUILD = "build the field again, or copy the file again if it was cut short"
+INCOMPLETE = "is not a complete language field", REBUILD
 _WHAT = "a SCOUP language field"
 
 
-@dataclass(frozen=True, eq=False)
-class FieldContent:
-    """The header and the tensors of a ``.scoup`` file, checked."""
-
-    header: Mapping[str, Any]
-    arrays: Mapping[str, NDArray[Any]]
-
-
-def read_content(path: Path) -> FieldContent:
-    """Read a ``.scoup`` file without torch and check all of it: version, checksums, header and tensors.
+def read_content(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return header and tensors of a ``.scoup`` file, without torch, and check all of it: version, checksums, contents.
 
     Raises:
         MissingFileError: there is no such file.
@@ -51,11 +43,16 @@ def read_content(path: Path) -> FieldContent:
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise FileFormatError(path, f"is a safetensors file, but not {_WHAT}", "check the path")
         arrays = {name: file.stream.get_tensor(name) for name in file.stream.keys()}  # noqa: SIM118
-    with field_damage_named(path):
+    with invalid_contents(path, *INCOMPLETE):
         check_format_version(path, header["version"], VERSION)
-        _check_sums(file, header, arrays)
+        file.check_header(header["checksum"])
+        checksums = header["checksums"]
+        if checksums.keys() != arrays.keys():
+            raise FileFormatError(path, "is damaged (its header names other tensors)", REBUILD)
+        for name, array in arrays.items():
+            file.check_array(name, array, checksums[name])
         check_content(header, arrays)
-    return FieldContent(header, arrays)
+    return header, arrays
 
 
 def write_content(
@@ -95,25 +92,15 @@ def write_world(path: Path, world: WorldFrame) -> None:
     Raises:
         MissingFileError, FileFormatError, WriteError: the file cannot be read or replaced.
     """
-    content = read_content(path)
-    left_out = "checksum", "checksums", "frame"
-    header = {name: value for name, value in content.header.items() if name not in left_out}
-    write_content(path, header | frame_entry(world), content.arrays, overwrite=True)
+    header, arrays = read_content(path)
+    for name in ("checksum", "checksums", "frame"):
+        header.pop(name, None)
+    write_content(path, header | frame_entry(world), arrays, overwrite=True)
 
 
 def frame_entry(world: WorldFrame) -> dict[str, Any]:
     """Return the entry of a frame in the header; nothing for one without anything known."""
     return {} if world == WorldFrame() else {"frame": world.to_dict()}
-
-
-def _check_sums(file: SealedFile, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Compare the header and all arrays of a file with their checksums."""
-    file.check_header(header["checksum"])
-    checksums = header["checksums"]
-    if checksums.keys() != arrays.keys():
-        raise FileFormatError(file.path, "is damaged (its header names other tensors)", REBUILD)
-    for name, array in arrays.items():
-        file.check_array(name, array, checksums[name])
 
 
 def relative_place(path: Path, target: Path | None) -> str | None:
@@ -132,15 +119,3 @@ def relative_place(path: Path, target: Path | None) -> str | None:
 def place_of(path: Path, relative: Any) -> Path | None:
     """Return the path of a file named by another relative to its folder, links followed; None for None."""
     return None if relative is None else Path(os.path.normpath(path.resolve().parent / str(relative)))
-
-
-@contextmanager
-def field_damage_named(path: Path) -> Iterator[None]:
-    """Turn failures to assemble a field into one FileFormatError that names the file."""
-    try:
-        yield
-    except FileFormatError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise FileFormatError(path, f"is not a complete language field ({reason})", REBUILD) from error

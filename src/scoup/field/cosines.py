@@ -26,6 +26,7 @@ from scoup.scene import rows_of
 TEMPERATURE = 10.0
 MOST_CHANNELS = 18
 """Further queries and phrases times levels: beyond, it takes longer to render channels than cosines."""
+GAUSSIANS_AT_A_TIME = 65536
 
 
 def relevancy(
@@ -84,6 +85,18 @@ class FieldCodes:
         """Compare the codes, whose norms are known, with canonical phrases [P, D]."""
         best = best_code_cosines(self.indices, self.weights, inverse_norms, self.atom_scores(canonical))
         return GaussianCosines(self, inverse_norms, best)
+
+    def features(self, level: int) -> Tensor:
+        """Return the decoded codes of all Gaussians at one level, [N, D] float32, unit norm; zero without a code."""
+        _, n_atoms, dim = self.codebook.shape
+        out = torch.empty(len(self.indices), dim, device=self.codebook.device)
+        for start in range(0, len(out), GAUSSIANS_AT_A_TIME):
+            rows = slice(start, start + GAUSSIANS_AT_A_TIME)
+            indices, weights = self.indices[rows, level].long(), self.weights[rows, level]
+            dense = torch.zeros(len(indices), n_atoms, device=out.device)
+            dense.scatter_add_(1, indices, weights.float())
+            out[rows] = torch.nn.functional.normalize(dense @ self.codebook[level], dim=1)
+        return out
 
     def rows(self, chosen: Tensor | slice) -> FieldCodes:
         """Return the codes of some Gaussians."""

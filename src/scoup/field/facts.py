@@ -1,9 +1,10 @@
-"""The facts of a language field's file, read without torch, which takes longer to start than they take to read."""
+"""Facts and sizes of a field's file, read without torch, which takes longer to start than they take to read."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,46 @@ from numpy.typing import NDArray
 from scoup.field.checks import weight_bits
 from scoup.field.container import place_of, read_content
 from scoup.field.content import LEAST_GAUSSIANS
-from scoup.field.sizes import PartSizes
 
 DOUBTFUL_SHARE = 0.4
 """A thing with this share of its level's Gaussians makes answers doubtful. Of nineteen fields, no other figure orders
 settings as well by their mIoU (docs/answers.md#where-a-field-is-unsure)."""
 
 
+@dataclass(frozen=True)
+class PartSizes:
+    """Bytes of the parts of a language field's file."""
+
+    gaussians: int  # how many there are
+    codes: int  # of all Gaussians at all levels
+    codebook: int  # of all levels
+    owners: int  # of the numbers that say to which things the Gaussians belong; 0 for none
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> PartSizes:
+        """Return the sizes of the tensors of a file."""
+        codes = arrays["code_indices"].nbytes + arrays["code_weights"].nbytes
+        owners = arrays["things.owners"].nbytes if "things.owners" in arrays else 0
+        return cls(len(arrays["code_indices"]), codes, arrays["codebook"].nbytes, owners)
+
+    @property
+    def codes_a_gaussian(self) -> float:
+        return self.codes / max(1, self.gaussians)
+
+    def __str__(self) -> str:
+        owners = f" and {self.owners / max(1, self.gaussians):.0f} of things" if self.owners else ""
+        codebook = f"a codebook of {self.codebook / 1e3:,.0f} kB"
+        return f"{self.codes_a_gaussian:.0f} bytes of codes{owners} a Gaussian, {codebook}"
+
+
+def part_sizes(path: Path) -> PartSizes:
+    """Return the sizes of the parts of a ``.scoup`` file."""
+    return PartSizes.of(read_content(path)[1])
+
+
 def read_facts(path: Path) -> dict[str, Any]:
     """Read a ``.scoup`` file, check all of it as ``LanguageField.load`` does, and return its facts as plain values."""
-    content = read_content(path)
-    header, arrays = content.header, content.arrays
+    header, arrays = read_content(path)
     geometry = header["geometry"]
     count, _, k = arrays["code_indices"].shape
     _, atoms, dim = arrays["codebook"].shape
@@ -42,8 +72,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
         "bytes_of_codebook": sizes.codebook,
         "cameras": len(header["cameras"] or ()),
-        "things": _count_things(arrays),
-        **_of_the_largest(arrays),
+        **_facts_of_things(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
         "fingerprint": geometry["fingerprint"],
         **({"frame": header["frame"]} if "frame" in header else {}),
@@ -51,20 +80,15 @@ def read_facts(path: Path) -> dict[str, Any]:
     }
 
 
-def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Return the number of things in ``field.things()``."""
+def _facts_of_things(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the number of things in ``field.things()``, and the share of the largest."""
     if "things.owners" not in arrays:
-        return 0
-    counts = np.bincount(arrays["things.owners"].ravel())
-    return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
-
-
-def _of_the_largest(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    if "things.owners" not in arrays:
-        return {}
-    share = _largest_share(arrays["things.owners"], arrays["things.levels"])
+        return {"things": 0}
+    owners, levels = arrays["things.owners"], arrays["things.levels"]
+    count = int(np.count_nonzero(np.bincount(owners.ravel())[: len(levels)] >= LEAST_GAUSSIANS))
+    share = _largest_share(owners, levels)
     doubt = _doubt(share)
-    return {"largest_thing": round(share, 3), **({"doubt": doubt} if doubt else {})}
+    return {"things": count, "largest_thing": round(share, 3), **({"doubt": doubt} if doubt else {})}
 
 
 def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:

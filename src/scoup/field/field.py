@@ -7,27 +7,26 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, WorldFrame, check_arguments, counted
-from scoup.field import renders
-from scoup.field.artefact import FieldParts, read_field, write_field
+from scoup.base import InputError, WorldFrame, check_arguments, counted, invalid_contents
+from scoup.field.artefact import read_field, write_field
 from scoup.field.cache import Cache, state_of
-from scoup.field.container import field_damage_named
-from scoup.field.cosines import FieldCodes, PixelCosines, pixel_relevancy
+from scoup.field.container import INCOMPLETE
+from scoup.field.cosines import FieldCodes, PixelCosines, pixel_relevancy, relevancy
 from scoup.field.field_info import FieldInfo, check_parts
-from scoup.field.renders import Vectors
 from scoup.field.thing_table import NameTable, ThingTable
 from scoup.io import load_gaussians
-from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, estimate_up, rows_of
+from scoup.scene import Camera, Cameras, Gaussians, chosen_rows, estimate_up, query_vectors, rows_of
 
 Value = TypeVar("Value")
 Own = TypeVar("Own", bound="Field")
+Vectors: TypeAlias = "Tensor | ArrayLike"
 CACHE_BYTES, BYTES_PER_CODE = 64 << 20, 16
 """A field keeps so many bytes of what its next question needs, and so many more per Gaussian and level."""
 
@@ -243,7 +242,9 @@ class Field:
     def render_features(self, camera: Camera | str | int, level: str | int) -> Tensor:
         """Render decoded features of one level, [H, W, D] float32, unit norm or, where nothing is rendered, zero."""
         index = self.level_index(level)
-        return renders.render_features(self.project(camera), self.codes, index)
+        chosen = slice(index, index + 1)
+        indices, weights = self.code_indices[:, chosen], self.code_weights[:, chosen]
+        return raster.render_features(self.project(camera), indices, weights, self.codebook[chosen])[0]
 
     def relevancy(self, camera: Camera | str | int, queries: Vectors, canonical: Vectors) -> Tensor:
         """Return the relevancy of every pixel to every query at every level (method.md, stage 3).
@@ -261,15 +262,29 @@ class Field:
         Raises:
             InputError: there is no query or no phrase, or one is zero, not finite or not of the field's dimensions.
         """
-        vectors = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
-        return renders.fresh_relevancy(self.project(camera), self.codes, *vectors)
+        queries, canonical = self._checked_vectors(queries, canonical)
+        both, codes = torch.cat([queries, canonical]), (self.code_indices, self.code_weights, self.codebook)
+        cosines = raster.render_cosines(self.project(camera), *codes, both)
+        return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
+
+    def _checked_vectors(self, queries: Vectors, canonical: Vectors) -> tuple[Tensor, Tensor]:
+        """Return queries [Q, D] and phrases [P, D] as float32 on the device of the codes."""
+        try:
+            queries = query_vectors(queries, self.dim)
+            canonical = query_vectors(canonical, self.dim, "canonical", lengthen=False)
+        except InputError as error:
+            raise InputError(
+                f"{error}; this field contains embeddings of {self.embedding_model or 'an unnamed model'} with "
+                f"{self.dim} dimensions"
+            ) from error
+        return queries.to(self.codebook.device), canonical.to(self.codebook.device)
 
     def view_relevancy(
         self, projection: raster.Projection, cache: Cache, queries: Vectors, canonical: Vectors
     ) -> Tensor:
         """Return the relevancy of every pixel of a projection, as ``relevancy`` does; ``cache`` is of this view, and
         keeps what further queries reuse."""
-        vectors = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
+        vectors = self._checked_vectors(queries, canonical)
         parts = self.parts()
         since = state_of(parts)
         maps, known = pixel_relevancy(projection, self.codes, *vectors, cache.get(PixelCosines, parts))
@@ -281,7 +296,7 @@ class Field:
 
         Arguments and errors are those of ``relevancy``.
         """
-        queries, canonical = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
+        queries, canonical = self._checked_vectors(queries, canonical)
         norms = self.kept("inverse norms", self.codes.inverse_norms)
         key = "largest cosines", canonical.cpu().numpy().tobytes()
         return self.kept(key, lambda: self.codes.cosines(canonical, norms)).relevancy(queries)
@@ -292,7 +307,7 @@ class Field:
         Raises:
             InputError: there is no such level.
         """
-        return renders.gaussian_features(self.codes, self.level_index(level))
+        return self.codes.features(self.level_index(level))
 
     # ---- fields made from it
 
@@ -432,17 +447,7 @@ class Field:
         """
         if embed_geometry is None:
             embed_geometry = self.geometry_path is None and self.has_geometry
-        parts = FieldParts(
-            self.code_indices,
-            self.code_weights,
-            self.codebook,
-            self.info,
-            self.gaussians if embed_geometry else None,
-            self.geometry_path,
-            self.cameras,
-            self.thing_table,
-        )
-        write_field(parts, Path(path), overwrite, weight_bits)
+        write_field(self, Path(path), overwrite, embed_geometry, weight_bits)
         self.path = Path(path)
 
     @classmethod
@@ -465,20 +470,14 @@ class Field:
         optional = (Gaussians, type(None))
         check_arguments("LanguageField.load", path=(path, Path), gaussians=(gaussians, optional))
         path = Path(path)
-        parts = read_field(path)
-        with field_damage_named(path):
-            codes = parts.code_indices, parts.code_weights, parts.codebook
-            known = {
-                "geometry_path": parts.geometry_path,
-                "cameras": parts.cameras,
-                "thing_table": parts.things,
-            }
-            loaded = cls(*codes, parts.info, **known, **options)
+        arguments, embedded = read_field(path)
+        with invalid_contents(path, *INCOMPLETE):
+            loaded = cls(**arguments, **options)
         loaded.path = path
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
-        elif parts.gaussians is not None:
-            loaded.attach(parts.gaussians, known=True)  # the file is checked: their fingerprint, too
+        elif embedded is not None:
+            loaded.attach(embedded, known=True)  # the file is checked: their fingerprint, too
         return loaded
 
 

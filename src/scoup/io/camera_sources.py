@@ -175,13 +175,10 @@ def scene_folder(path: str | Path) -> Path:
     if not _models(folder):
         return folder
     scene = folder.absolute()
-    numbered = (
-        (scene.name,) if scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE) else ()
-    )
-    for names in (numbered, _SPARSE, ("colmap",)):
-        if scene.name in names and not any(
-            map(Path.is_dir, scene.glob("images*"))
-        ):  # a scene may have such a name, too
+    is_numbered = scene.name == "0" or (scene.name.isdigit() and scene.parent.name in _SPARSE)
+    for names in ((scene.name,) if is_numbered else (), _SPARSE, ("colmap",)):
+        # A scene may have such a name, too.
+        if scene.name in names and not any(map(Path.is_dir, scene.glob("images*"))):
             scene = scene.parent
     # Keep a relative path relative: it is shorter in messages.
     return scene if folder.is_absolute() else Path(os.path.relpath(scene))

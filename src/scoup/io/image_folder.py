@@ -60,9 +60,8 @@ class ImageFolder:
                 self._exact[posixpath.join(within, file)] = path
                 key = within.casefold()
                 self._stems[key, stem.casefold()].append(path)
-                if not _split(stem)[1] and not _MASK.search(
-                    stem
-                ):  # x.jpg.png is most often the mask of x.jpg
+                # x.jpg.png is most often the mask of x.jpg.
+                if not _split(stem)[1] and not _MASK.search(stem):
                     self._starts[key, file.split(".", 1)[0].casefold()].append(path)
         self._folders = sorted({within for within, _ in self._stems})
         # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
@@ -127,9 +126,8 @@ class ImageFolder:
             ]
         elif not paths:
             start, end = os.path.splitext(stem)
-            paths = (self._stems if end in UNREAD else self._starts).get(
-                (within, start if end in UNREAD else stem), []
-            )
+            unread = end in UNREAD
+            paths = (self._stems if unread else self._starts).get((within, start if unread else stem), [])
         return paths[0] if len(paths) == 1 else None
 
     def _places(self, name: str) -> Iterator[str]:

@@ -8,10 +8,8 @@ minghanqin/LangSplat, ``scene/gaussian_model.py`` (13 entries); those of Occam's
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -49,17 +47,20 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
     if len(captured) == _PLAIN:
         problem = "was saved without language features (12 entries)"
         raise FileFormatError(path, problem, "use a checkpoint of the training with --include_feature")
-    gaussians, finite = _gaussians(path, captured)
+    raw = float_tensors(path, dict(zip(_SHAPES, captured[1:], strict=False)), _SHAPES, _WHAT)
+    sh = np.concatenate([raw["features_dc"], raw["features_rest"]], axis=1)
+    columns = (raw["xyz"], raw["rotation"], raw["scaling"], raw["opacity"][:, 0])
+    gaussians, finite = trained_gaussians(path, *columns, sh, _WHAT)
     if len(captured) < _V2:
         # Feature 3DGS has them last, [N, 1, D].
         index = 7 if isinstance(captured[7], Tensor) and captured[7].dim() > 1 else _PLAIN
         value = captured[index]
         features = value.flatten(1) if isinstance(value, Tensor) and value.dim() == 3 else value
-        rows = _floats(path, features, (len(finite), -1), "language_feature")[finite]
+        rows = float_tensor(path, features, (len(finite), -1), "language_feature", _WHAT)[finite]
         return LangSplatLevel(gaussians, rows, None)
     count = len(finite)
-    logits = _floats(path, captured[7], (count, -1), "language_feature_logits")
-    codebooks = _floats(path, captured[8], (-1, -1, -1), "language_feature_codebooks")
+    logits = float_tensor(path, captured[7], (count, -1), "language_feature_logits", _WHAT)
+    codebooks = float_tensor(path, captured[8], (-1, -1, -1), "language_feature_codebooks", _WHAT)
     layers, size = codebooks.shape[:2]
     if not size or logits.shape[1] != layers * size:
         problem = f"has {logits.shape[1]} logits a Gaussian for {layers} codebooks of {size}"
@@ -68,15 +69,3 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
         problem = "has logits or codebooks that are not finite"
         raise FileFormatError(path, problem, "the training diverged, or the file is damaged")
     return LangSplatLevel(gaussians, logits.reshape(count, layers, size)[finite], codebooks)
-
-
-def _gaussians(path: Path, captured: Sequence[Any]) -> tuple[Gaussians, np.ndarray]:
-    """Return the Gaussians, and a boolean [N] saying which rows they are."""
-    raw = float_tensors(path, dict(zip(_SHAPES, captured[1:], strict=False)), _SHAPES, _WHAT)
-    sh = np.concatenate([raw["features_dc"], raw["features_rest"]], axis=1)
-    columns = (raw["xyz"], raw["rotation"], raw["scaling"], raw["opacity"][:, 0])
-    return trained_gaussians(path, *columns, sh, _WHAT)
-
-
-def _floats(path: Path, value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
-    return float_tensor(path, value, shape, name, _WHAT)

@@ -20,9 +20,8 @@ from scoup.io.reading import read_bytes
 
 _PICKLE = b"\x80"
 _OBJECTS = "contains Python objects other than tensors; it was not opened, because that could run code"
-_TAKES_MEMORY = re.compile(
-    r"\S+ (bytearray|UntypedStorage|TypedStorage)|torch(\.\w+)* \w*Tensor"
-)  # names in a pickle
+# Names in a pickle.
+_TAKES_MEMORY = re.compile(r"\S+ (bytearray|UntypedStorage|TypedStorage)|torch(\.\w+)* \w*Tensor")
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 

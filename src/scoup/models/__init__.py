@@ -11,14 +11,7 @@ from scoup.models.embedders import embedder_table
 from scoup.models.entry import ModelEntry
 from scoup.models.hub import ModelIdentity
 from scoup.models.sam import EncodedImage, PointModel, open_sam, segmenter_table
-from scoup.models.text import (
-    ARTICLES,
-    LONGEST,
-    Encoder,
-    TextEncoder,
-    check_model,
-    words_problem,
-)
+from scoup.models.text import ARTICLES, LONGEST, Encoder, TextEncoder, check_model, words_problem
 from scoup.models.word_table import WordTable
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 

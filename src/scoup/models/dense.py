@@ -8,6 +8,7 @@ pooling head of the image attends to the tokens of the region alone (Xiao et al.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,8 @@ from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.image import WITHOUT_MODEL, usual_dtype
 from scoup.models.normalization import Normalization
 from scoup.models.towers import Tower, as_patches, load_tower, normalization_of
-from scoup.models.windows import mean_of_windows
+
+_AT_ONCE = 4  # windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,34 @@ class DenseModel:
         if self._in_text_space:
             features = functional.normalize(features, dim=2)
         return features.unflatten(1, (window, window))
+
+
+def mean_of_windows(image: Tensor, side: int, patch: int, encode: Callable[[Tensor], Tensor]) -> Tensor:
+    """Return [h / patch, w / patch, C] float32 features of an image [3, h, w].
+
+    The image (multiples of ``patch``, at least ``side``) is covered by as few windows as possible, evenly placed; where
+    they overlap, the mean is taken. ``encode`` turns windows [B, 3, side, side] into [B, window, window, C].
+    """
+    window = side // patch
+    rows, columns = image.shape[1] // patch, image.shape[2] // patch
+    places = [(y, x) for y in _starts(rows, window) for x in _starts(columns, window)]
+    cuts = [image[:, y * patch : (y + window) * patch, x * patch : (x + window) * patch] for y, x in places]
+    with torch.inference_mode():
+        features = torch.cat([encode(batch) for batch in torch.stack(cuts).split(_AT_ONCE)])
+        total = features.new_zeros(rows, columns, features.shape[-1])
+        count = features.new_zeros(rows, columns, 1)
+        for (y, x), of_window in zip(places, features, strict=True):
+            total[y : y + window, x : x + window] += of_window
+            count[y : y + window, x : x + window] += 1
+        return total / count
+
+
+def _starts(length: int, window: int) -> list[int]:
+    """Return the first places of as few windows as cover a length, evenly placed."""
+    count = -(-length // window)
+    if count == 1:
+        return [0]
+    return [(length - window) * number // (count - 1) for number in range(count)]
 
 
 def _clip_tokens(tower: Tower, pixels: Tensor) -> Tensor:

@@ -12,13 +12,7 @@ from torch import Tensor
 
 from scoup.base import Registry, ScoupError, ScoupWarning, counted
 from scoup.models.entry import DENSE_PREFIX, Device, HubEntry, ModelEntry, Texts
-from scoup.models.hub import (
-    OPEN_CLIP,
-    ModelRequest,
-    load_open_clip,
-    load_pretrained,
-    open_clip_identity,
-)
+from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained, open_clip_identity
 from scoup.models.image import open_clip_image_model, open_image_model
 from scoup.models.plain_colors import PLAIN_COLORS
 from scoup.models.towers import load_tower

@@ -27,20 +27,15 @@ Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
 _READ = re.compile(r"[^.]*\.(safetensors|json|txt)")  # of a folder; "model.fp16.safetensors" is not
-_OF_HUB = re.compile(
-    r"hf-hub:[\w.-]+/[\w.-]+(@[\w.-]+)?"
-)  # a model of open_clip that brings its own description
-_SPELT = re.compile(
-    r"^([\w-]*ViT-\w+)/(\d+)(?:@(\d+)px)?(?=[-/]|$)"
-)  # as its authors write ViT-B-16: ViT-B/16
+# A model of open_clip that brings its own description.
+_OF_HUB = re.compile(r"hf-hub:[\w.-]+/[\w.-]+(@[\w.-]+)?")
+# As its authors write ViT-B-16: ViT-B/16.
+_SPELT = re.compile(r"^([\w-]*ViT-\w+)/(\d+)(?:@(\d+)px)?(?=[-/]|$)")
 _SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
-_DISTRIBUTIONS = {
-    "transformers": "transformers",
-    "open_clip": "open_clip_torch",
-}  # package -> its name in an index
-_PATIENCE = (
-    5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
-)
+# Package -> its name in an index.
+_DISTRIBUTIONS = {"transformers": "transformers", "open_clip": "open_clip_torch"}
+# Seconds within which a hub that can be reached answers; its own client would try for a minute.
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
@@ -52,9 +47,8 @@ class ModelRequest:
     alternative: str  # what works without the model, as an imperative
     model_id: str = ""  # a folder or hub id, where ``name`` is short for one
     revision: str | None = None  # branch, tag or commit of a hub model
-    by_hand: str = (
-        ""  # how to bring the model here without a hub; "" for a folder that the hub's own tool makes
-    )
+    # how to bring the model here without a hub; "" for a folder that the hub's own tool makes
+    by_hand: str = ""
 
     @property
     def source(self) -> str:

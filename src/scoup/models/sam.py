@@ -119,7 +119,8 @@ class Sam:
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         scaled = scale_to_square(image, self.side, self.stretches)
-        values = normalize_and_pad(scaled, self.side, self.normalization)
+        values = self.normalization(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
+        values = functional.pad(values, (0, self.side - scaled.shape[1], 0, self.side - scaled.shape[0]))
         with torch.inference_mode(), self._precision():
             embeddings = self.model.get_image_embeddings(values[None].to(self.device, self._dtype))
         size = (scaled.shape[0], scaled.shape[1])
@@ -165,12 +166,6 @@ def scale_to_square(image: NDArray[np.uint8], side: int, stretches: bool) -> NDA
         high, wide = max(1, int(height * factor + 0.5)), max(1, int(width * factor + 0.5))
     # Reduced with Pillow, as the models' own code does: its filter covers every pixel.
     return np.array(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
-
-
-def normalize_and_pad(scaled: NDArray[np.uint8], side: int, normalization: Normalization) -> Tensor:
-    """Return [3, side, side] of a scaled image, padded below and on the right."""
-    values = normalization(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
-    return functional.pad(values, (0, side - scaled.shape[1], 0, side - scaled.shape[0]))
 
 
 def open_sam(

@@ -222,20 +222,20 @@ class TextEncoder:
         if self._everyday is None and self._model is not None:
             self._everyday = self._model.everyday
         elif self._everyday is None:
-            phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-            names = words.EVERYDAY_WORDS if self.names is None else self.names
-            self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
+            self._everyday = self.encode(self._usual_names())
         return self._everyday
 
     def vocabulary(self) -> tuple[str, ...]:
         """Return the words by which things are named by default: everyday words; of a table, all its names but the
         canonical phrases.
         """
-        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-        cleaned = (
-            " ".join(name.split()) for name in (words.EVERYDAY_WORDS if self.names is None else self.names)
-        )
-        return tuple(dict.fromkeys(name for name in cleaned if name and name.casefold() not in phrases))
+        cleaned = (" ".join(name.split()) for name in self._usual_names())
+        return tuple(dict.fromkeys(filter(None, cleaned)))
+
+    def _usual_names(self) -> list[str]:
+        """Return the names of a table, or everyday words, without the canonical phrases."""
+        names = words.EVERYDAY_WORDS if self.names is None else self.names
+        return [name for name in names if name.strip().casefold() not in CANONICAL_PHRASES]
 
     def word_of(self, phrase: str) -> str:
         """Return the word of ``vocabulary`` that a phrase is a form of ("mug" for "mugs"), else the phrase."""

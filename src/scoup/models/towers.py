@@ -14,10 +14,8 @@ from scoup.models.normalization import CLIP, HALF, PLAIN, Normalization
 
 Modality = Literal["text", "image"]
 Kind = Literal["clip", "siglip", "naflex", "tips"]
-_KINDS: dict[str, Kind] = {
-    "siglip2": "naflex",
-    "tipsv2": "tips",
-}  # others are CLIP's, or have SigLIP's interface
+# Others are CLIP's, or have SigLIP's interface.
+_KINDS: dict[str, Kind] = {"siglip2": "naflex", "tipsv2": "tips"}
 _USUAL = {"clip": CLIP, "tips": PLAIN}
 
 
@@ -57,9 +55,8 @@ class Tower:
 def as_patches(pixels: Tensor, patch: int) -> tuple[Tensor, Tensor]:
     """Return images [B, 3, h, w] as NaFlex takes them: patches [B, T, patch * patch * 3], row by row, and shapes [B, 2]
     in patches."""
-    rows = pixels.unfold(2, patch, patch).unfold(
-        3, patch, patch
-    )  # [B, 3, h / patch, w / patch, patch, patch]
+    # [B, 3, h / patch, w / patch, patch, patch]
+    rows = pixels.unfold(2, patch, patch).unfold(3, patch, patch)
     shapes = torch.tensor([rows.shape[2:4]] * len(pixels), device=pixels.device)
     return rows.permute(0, 2, 3, 4, 5, 1).flatten(3).flatten(1, 2), shapes
 

@@ -5,7 +5,8 @@ use the same blending weights e = alpha * transmittance of each Gaussian at each
 uplift sees exactly what is rendered. Gaussians that are not finite are never drawn; a pixel to which no Gaussian
 contributes is zero.
 
-A backend is one module with these functions, chosen by the device of the tensors or by name (``base.backends``).
+A backend is one module with these functions, chosen by the device of the tensors or by name (``base.backends``); it has
+``render_values``, ``render_cosines`` and ``render_features`` only where it is faster than by way of the others.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
 from scoup.raster.combinations import CombinedLabels, combine
-from scoup.raster.decoding import cosines_from_codes, view_colors
+from scoup.raster.decoding import cosines_from_codes, decoded, view_colors
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME, morton_codes, morton_order, restored
 from scoup.raster.presets import RASTER_PRESETS, RasterPreset, raster_preset
@@ -192,7 +193,10 @@ def render_values(projection: Projection, values: Tensor) -> Tensor:
     reach are drawn.
     """
     _check_rows(projection, values, 2, "values")
-    return _backend_of(projection).render_values(projection, values.float())
+    backend = _backend_of(projection)
+    if hasattr(backend, "render_values"):
+        return backend.render_values(projection, values.float())
+    return backend.render_channels(projection, values.float())[0]
 
 
 def render_codes(projection: Projection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
@@ -228,10 +232,11 @@ def render_cosines(
     Returns:
         [S, Q, H, W] float32.
     """
+    backend = _backend_of(projection)
+    if not hasattr(backend, "render_cosines"):
+        return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
     _check_cosines(projection, indices, weights, codebook, queries)
-    return _backend_of(projection).render_cosines(
-        projection, indices, weights, codebook.float(), queries.float()
-    )
+    return backend.render_cosines(projection, indices, weights, codebook.float(), queries.float())
 
 
 def render_cosines_and_norms(
@@ -270,7 +275,15 @@ def render_features(projection: Projection, indices: Tensor, weights: Tensor, co
     _check_codes(projection, indices, weights)
     if codebook.dim() != 3 or codebook.shape[0] != indices.shape[1]:
         raise InputError(f"codebook {list(codebook.shape)} does not fit {indices.shape[1]} levels")
-    return _backend_of(projection).render_features(projection, indices, weights, codebook.float())
+    backend, codebook = _backend_of(projection), codebook.float()
+    if hasattr(backend, "render_features"):
+        return backend.render_features(projection, indices, weights, codebook)
+    features = []
+    for level, atoms in enumerate(codebook):  # the coefficients of one level at a time
+        of_level = slice(level, level + 1)
+        codes = backend.render_codes(projection, indices[:, of_level], weights[:, of_level], len(atoms))[0]
+        features.append(decoded(codes, atoms))
+    return torch.stack(features)
 
 
 def render_colors(

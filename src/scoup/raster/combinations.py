@@ -32,7 +32,10 @@ class CombinedLabels:
 
 def combine(labels: Tensor) -> CombinedLabels:
     """Return the combinations of label maps [S, H, W] of integers; every number below 0 means no region."""
-    check_labels(labels)
+    if labels.dim() != 3 or labels.is_floating_point():
+        raise InputError(f"labels must be integers [S, H, W], got {labels.dtype} {list(labels.shape)}")
+    if labels.dtype in (torch.int64, torch.uint32) and labels.numel() and int(labels.long().max()) >= 2**31:
+        raise InputError(f"label {int(labels.long().max())} is beyond 32 bits; number the regions from 0")
     if not labels.dtype.is_signed:
         labels = labels.long()
     core = native_core() if labels.device.type == "cpu" else None
@@ -69,11 +72,3 @@ def combine_reference(labels: Tensor) -> CombinedLabels:
     new[by_pixel] = torch.arange(len(firsts), device=labels.device)
     table = flat[:, firsts[by_pixel]].T.int().contiguous()
     return CombinedLabels(new[number].int().view(height, width), table)
-
-
-def check_labels(labels: Tensor) -> None:
-    """Refuse what cannot be label maps [S, H, W]."""
-    if labels.dim() != 3 or labels.is_floating_point():
-        raise InputError(f"labels must be integers [S, H, W], got {labels.dtype} {list(labels.shape)}")
-    if labels.dtype in (torch.int64, torch.uint32) and labels.numel() and int(labels.long().max()) >= 2**31:
-        raise InputError(f"label {int(labels.long().max())} is beyond 32 bits; number the regions from 0")

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, required_core
 from scoup.raster.combinations import CombinedLabels
-from scoup.raster.decoding import decoded
 from scoup.raster.presets import RasterPreset
 from scoup.scene import Camera, Gaussians, check_atoms, code_arrays, index_dtype, stable_products
 
@@ -112,17 +111,10 @@ def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor,
         )
 
 
-def render_cosines(
-    projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
-) -> Tensor:
-    """See ``raster.render_cosines``. No map of coefficients is kept."""
-    return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
-
-
 def render_cosines_and_norms(
     projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """See ``raster.render_cosines_and_norms``."""
+    """See ``raster.render_cosines_and_norms``. No map of coefficients is kept."""
     table = _code_table(indices, weights, codebook.shape[1])
     levels, words = codebook.cpu(), queries.cpu()
     with required_core() as core:
@@ -132,18 +124,6 @@ def render_cosines_and_norms(
             projection.handle, *table, grams, scores, torch.get_num_threads()
         )
     return torch.from_numpy(cosines), torch.from_numpy(norms)
-
-
-def render_features(
-    projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor
-) -> Tensor:
-    """See ``raster.render_features``. One level's coefficients are kept at a time."""
-    levels = range(codebook.shape[0])
-    codes = (
-        render_codes(projection, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0]
-        for s in levels
-    )
-    return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:

@@ -73,14 +73,7 @@ def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset
     touches = ((means2d + extents >= 0.5) & (means2d - extents <= size - 0.5)).all(1)
     order = torch.nonzero(touches).squeeze(1)
     order = order[torch.argsort(projected.depths[order], stable=True)]
-    return ProjectedGaussians(
-        projected.ids[order],
-        projected.means2d[order],
-        projected.depths[order],
-        projected.covariances[order],
-        projected.determinants[order],
-        projected.opacities[order],
-    )
+    return ProjectedGaussians(*(column[order] for column in vars(projected).values()))
 
 
 def _image_plane_factor(

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.combinations import CombinedLabels
-from scoup.raster.decoding import cosines_and_norms, decoded
+from scoup.raster.decoding import cosines_and_norms
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
@@ -97,11 +97,6 @@ def render_channels(projection: ReferenceProjection, values: Tensor) -> tuple[Te
     return image[..., :channels], image[..., channels]
 
 
-def render_values(projection: ReferenceProjection, values: Tensor) -> Tensor:
-    """See ``raster.render_values``."""
-    return render_channels(projection, values)[0]
-
-
 def render_codes(projection: ReferenceProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     check_atoms(indices, n_atoms)
@@ -113,13 +108,6 @@ def render_codes(projection: ReferenceProjection, indices: Tensor, weights: Tens
     return (
         image.reshape(projection.height, projection.width, levels, n_atoms).permute(2, 0, 1, 3).contiguous()
     )
-
-
-def render_cosines(
-    projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
-) -> Tensor:
-    """See ``raster.render_cosines``."""
-    return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
 
 
 def render_cosines_and_norms(
@@ -140,18 +128,6 @@ def render_cosines_and_norms(
     image = _from_tiles(tiles, projection).reshape(projection.height, projection.width, levels, count + 1)
     image = image.permute(2, 3, 0, 1)
     return image[:, :count].contiguous(), image[:, count].contiguous()
-
-
-def render_features(
-    projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor
-) -> Tensor:
-    """See ``raster.render_features``. One level's coefficients are kept at a time."""
-    levels = range(codebook.shape[0])
-    codes = (
-        render_codes(projection, indices[:, s : s + 1], weights[:, s : s + 1], codebook.shape[1])[0]
-        for s in levels
-    )
-    return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,7 +122,9 @@ def count_votes(texts: Sequence[str], views: Sequence[ViewVotes]) -> NameTable:
     key, vote = _sums_of_best(keys, torch.cat([view.votes for view in views]))
     thing = key % count
     votes = vote / seen_in[thing].clamp(2, constants.BEST_VIEWS) if len(thing) else vote
-    presence = presence_of(torch.stack([view.tops for view in views]))
+    scores = torch.stack([view.tops for view in views])  # [V, M]
+    best = scores.sort(0, descending=True).values[: constants.BEST_SCORES].mean(0)
+    presence = best / (best + constants.EVEN_SCORE)
     return NameTable(tuple(texts), presence, (key // count).int(), thing.int(), votes)
 
 
@@ -150,12 +152,6 @@ def name_field(field: Own, texts: Sequence[str], views: Sequence[tuple[Camera, D
     if table is None or not views:
         return field
     return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset))
-
-
-def presence_of(scores: Tensor) -> Tensor:
-    """Return the certainty that photographs show texts, [M], from the best score of each in each view [V, M]."""
-    best = scores.sort(0, descending=True).values[: constants.BEST_SCORES].mean(0)
-    return best / (best + constants.EVEN_SCORE)
 
 
 def _sums_of_best(keys: Tensor, votes: Tensor) -> tuple[Tensor, Tensor]:

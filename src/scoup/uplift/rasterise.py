@@ -127,7 +127,7 @@ def add_views(
     sums = sums.select(list(sums.views), lambda: [regions.embeddings(level)[1] for level in regions.levels])
     if sums.means is None:
         sums.means = gaussians.means.cpu()[sums.order]
-    cameras = [at_scale(camera, sums.scale) for camera in cameras]
+    cameras = [_at_scale(camera, sums.scale) for camera in cameras]
     prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
 
@@ -137,7 +137,8 @@ def add_views(
     with ThreadPoolExecutor(1) as writer:  # appends a view while the next one is projected
         written: Future[None] | None = None
         for done, (camera, combined) in enumerate(read_labels(regions, cameras, gaussians.device), start=1):
-            if contains_view(sums, camera, combined):
+            known = sums.views.get(camera.name)
+            if known is not None and known.digests == (camera.fingerprint(), combined.digest()):
                 progress(STAGE, done, len(cameras))
                 continue
             if not sums.writable:
@@ -165,17 +166,10 @@ def release_memory() -> None:
         core.release_memory()
 
 
-def at_scale(camera: Camera, scale: Scale) -> Camera:
+def _at_scale(camera: Camera, scale: Scale) -> Camera:
     """Return the camera of the image that region sums are made of."""
-    return camera.scaled(
-        min(1.0, constants.AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale
-    )
-
-
-def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
-    """Return whether the sums contain this view with the same camera and label maps."""
-    view = sums.views.get(camera.name)
-    return view is not None and view.digests == (camera.fingerprint(), combined.digest())
+    longest = max(camera.width, camera.height)
+    return camera.scaled(min(1.0, constants.AUTO_SIDE / longest) if scale == "auto" else scale)
 
 
 def read_labels(

@@ -22,9 +22,7 @@ MOST_VIEWS = 8  # rendered
 LONGEST_SIDE = 256  # of a render, in pixels
 FINEST, COARSEST = 1.5, 10.0  # standard deviations of the blurs whose difference is detail, in pixels
 LEAST_COVERED = 0.002  # mean alpha below which a render is not compared
-LEAST_CONTRAST = (
-    4 / 255
-)  # standard deviation of detail below which it is not scaled up to that of other places
+LEAST_CONTRAST = 4 / 255  # standard deviation below which detail is not scaled up to that of other places
 LEAST_DETAIL = 0.1  # mean square of detail that is compared; strong detail is about 1
 PLAIN = 0.002  # mean square of detail below which a photograph shows nothing
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +26,7 @@ from scoup.base import (
     WriteError,
     check_format_version,
     flush_to_disk,
+    invalid_contents,
 )
 from scoup.raster import ViewSums, morton_order
 from scoup.scene import Camera, Gaussians
@@ -38,16 +38,15 @@ from scoup.uplift.storage.array_file import (
     read_arrays,
     stored_files,
     view_file,
-    view_files,
     write_arrays,
 )
 from scoup.uplift.storage.entries import BUCKET, Packer, ViewRecord
-from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 VERSION = 1
+_INVALID = "is invalid", "make the region sums again"
 
 Rows = Sequence[Mapping[str, slice]]
 """Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
@@ -145,7 +144,7 @@ class RegionSums:
             problem = "is not a folder of region sums" if path.exists() else "there is no such folder"
             raise MissingFileError(path, problem, "check the path")
         head = read_arrays(scene)
-        with report_damage(scene):
+        with invalid_contents(scene, *_INVALID):
             check_format_version(scene, head.header["version"], VERSION)
             order = torch.from_numpy(head.arrays["order"].astype(np.int64))
             if order.dim() != 1 or not torch.equal(order.sort().values, torch.arange(len(order))):
@@ -162,7 +161,9 @@ class RegionSums:
                 scale=head.header["scale"],
             )
         sums.path, sums.writable, sums.bytes = path, writable, head.bytes
-        for file in view_files(path):
+        for file in stored_files(path):
+            if file == scene:
+                continue
             try:
                 sums._load(file)
             except FileFormatError as error:
@@ -276,19 +277,40 @@ class RegionSums:
             level: position of the level.
             rows: of each view among all regions; by default ``self.rows``.
         """
+        from scipy.sparse import coo_array
+
         if rows is None:
             if self.rows is None:
                 raise InputError("the rows of each view are not known; pass rows (Regions.embeddings)")
             rows = self.rows[level]
-        views = {name: self.views[name] for name in rows if name in self.views}
-        return csr_matrix(views, self.order.numpy(), level, rows)
+        parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+        for name, span in rows.items():
+            if name in self.views:
+                gaussian, region, weight = self.triplets(name, level)
+                parts.append((gaussian.astype(np.int32), (region + span.start).astype(np.int32), weight))
+        gaussians, regions, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        shape = self.n_gaussians, max((span.stop for span in rows.values()), default=0)
+        return coo_array((weights, (gaussians, regions)), shape).tocsr()
 
     def triplets(
         self, view_name: str, level: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
         """Return (gaussian, region, weight) [T] of a view and level: rows of the scene, sorted, each pair once; an
         InputError if entries point outside."""
-        return triplets_of(self.views[view_name], self.order.numpy(), level)
+        order, parts = self.order.numpy(), []
+        for entries in self.views[view_name].parts:
+            entries.check_numbers(len(order))
+            region = entries.table[:, level][entries.combinations].astype(np.int64)
+            there = region >= 0
+            with np.errstate(all="ignore"):  # a damaged weight may be NaN
+                weight = entries.weights[there].astype(np.float64)
+            parts.append((order[entries.gaussians()[there]], region[there], weight))
+        gaussian, region, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        stride = int(region.max(initial=0)) + 1
+        keys, inverse = np.unique(gaussian * stride + region, return_inverse=True)
+        with np.errstate(all="ignore"):  # or too large
+            total = np.bincount(inverse, weight, len(keys)).astype(np.float32)
+        return keys // stride, keys % stride, total
 
     def _make_folder(self, path: Path) -> None:
         """Make the folder with the file of the scene, unless another process has just done so."""
@@ -319,16 +341,14 @@ class RegionSums:
 
     def _load(self, file: Path, written: bool = False) -> None:
         stored = read_arrays(file, written)
-        with report_damage(file):
+        with invalid_contents(file, *_INVALID):
             if file.name != view_file(str(stored.header["name"])):
                 raise ValueError(f"it is of the view {stored.header['name']!r}, which has another file")
             self._add(stored)
 
     def _add(self, stored: StoredArrays) -> None:
-        view, name = (
-            ViewRecord.from_arrays(stored.header, stored.arrays, stored.bytes),
-            str(stored.header["name"]),
-        )
+        view = ViewRecord.from_arrays(stored.header, stored.arrays, stored.bytes)
+        name = str(stored.header["name"])
         for entries in view.parts:
             entries.check(len(self.levels))
         before = self.views.pop(name, None)  # views are in the order in which they were added
@@ -339,15 +359,3 @@ class RegionSums:
         if view_name not in self.views:
             raise InputError(f"there are no region sums of the view {view_name!r}")
         return self.views[view_name]
-
-
-@contextmanager
-def report_damage(file: Path) -> Iterator[None]:
-    """Turn failures to interpret a file into a FileFormatError that names it."""
-    try:
-        yield
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        if isinstance(error, (FileFormatError, WriteError)):
-            raise
-        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise FileFormatError(file, f"is invalid ({reason})", "make the region sums again") from error

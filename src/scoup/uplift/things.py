@@ -31,9 +31,7 @@ Numbers = NDArray[np.int64]
 
 
 def find_things(
-    sums: RegionSums,
-    embeddings: Sequence[Tensor],
-    progress: Progress = no_progress,
+    sums: RegionSums, embeddings: Sequence[Tensor], progress: Progress = no_progress
 ) -> FoundThings:
     """Merge the regions of all views into things.
 

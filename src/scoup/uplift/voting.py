@@ -43,6 +43,20 @@ class CodedEntries:
     regions: NDArray[np.int64]  # [C, S] per label tuple, -1 for none
 
 
+@dataclass(eq=False)
+class PreparedVote:
+    """What the ``Vote`` of every backend is made of."""
+
+    n_gaussians: int
+    views: Sequence[CodedEntries]
+    codes: Sequence[SparseCodes]  # per level, of the regions of all views
+    grams: Tensor  # [S, L, L] inner products of the atoms
+    device: torch.device
+
+    def __post_init__(self) -> None:
+        """Check it, and bring it to the backend's form."""
+
+
 @dataclass(frozen=True, eq=False)
 class GaussianCodes:
     """The outcome of a vote; Gaussians in the order of the scene."""

@@ -13,11 +13,8 @@ from scoup.scene import Cameras
 
 TRAINED_FRAME = "dataparser_transforms.json"
 _WHAT = f"nerfstudio's {TRAINED_FRAME}"
-_BEFORE_IT_WAS_NAMED = [
-    [0, 1, 0, 0],
-    [1, 0, 0, 0],
-    [0, 0, -1, 0],
-]  # what ns-process-data did to COLMAP's cameras
+# What ns-process-data did to COLMAP's cameras.
+_BEFORE_IT_WAS_NAMED = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 
 
 def in_trained_frame(cameras: Cameras, path: str | Path, transforms: Path | None = None) -> Cameras:

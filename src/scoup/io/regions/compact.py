@@ -115,8 +115,11 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
     height, width = regions.labels[levels[0]].shape
     tensors: dict[str, np.ndarray] = {}
     for level in levels:
-        packed = _packed(regions.labels[level], len(regions.embeddings[level]))
-        tensors[f"labels.{level}"] = np.frombuffer(packed, np.uint8)
+        kind = _label_type(len(regions.embeddings[level]))
+        values = (regions.labels[level].astype(np.int64) + 1).astype(kind)
+        steps = values.copy()
+        steps[1:] ^= values[:-1]
+        tensors[f"labels.{level}"] = np.frombuffer(zlib.compress(steps.tobytes(), 6), np.uint8)
         tensors[f"embeddings.{level}"] = np.ascontiguousarray(regions.embeddings[level])
     header = {
         "schema": SCHEMA,
@@ -170,13 +173,6 @@ def _unpack(view: CompactView, level: str, packed: bytes, out: NDArray[np.int32]
 def _label_type(rows: int) -> np.dtype:
     """Return the type in which label plus one fits: 0 is "no region"."""
     return np.dtype("<u2" if rows < 1 << 16 else "<u4")
-
-
-def _packed(labels: NDArray[np.int32], rows: int) -> bytes:
-    values = (labels.astype(np.int64) + 1).astype(_label_type(rows))
-    steps = values.copy()
-    steps[1:] ^= values[:-1]
-    return zlib.compress(steps.tobytes(), 6)
 
 
 def _opened(path: Path) -> AbstractContextManager[SealedFile]:

@@ -78,7 +78,11 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
     def labels(name: str, levels: Sequence[str] = LEVELS) -> Tensor:
         camera, view = views[name]
-        return _at_camera(torch.from_numpy(view.labels(levels)), camera)
+        stored = torch.from_numpy(view.labels(levels))
+        if not camera.distortion:
+            return resize_labels(stored, camera.width, camera.height)
+        pixels = photograph_pixels(camera, stored.shape[-1], stored.shape[-2])
+        return torch.stack([sample_nearest(item, pixels, outside=-1) for item in stored])
 
     def embeddings(name: str, level: str) -> Tensor:
         view = views[name][1]
@@ -147,14 +151,6 @@ def _same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
     ratio = (small[0] / small[1]) / (large[0] / large[1])
     most = 1.0 / min(small)  # what a pixel of the smaller one is of its shorter side
     return abs(ratio - 1.0) <= max(ASPECT_TOLERANCE, most) or small == (1, 1)
-
-
-def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
-    """Return labels [S, H, W] resampled to the camera's size by nearest neighbour, undistorted where it has a lens."""
-    if camera.distortion:
-        pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
-        return torch.stack([sample_nearest(item, pixels, outside=-1) for item in labels])
-    return resize_labels(labels, camera.width, camera.height)
 
 
 def _normalised(path: Path, rows: np.ndarray) -> Tensor:

@@ -18,7 +18,7 @@ from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
 from scoup.io.regions.langsplat import LangSplatView
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
-from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
+from scoup.io.regions.views import FEATURES_FOLDER, ViewRegions, match_stems, view_stems
 
 Layout = Literal["compact", "langsplat"]
 StoredView = CompactView | LangSplatView  # with the same names for the same things, as their modules
@@ -37,7 +37,7 @@ class RegionStore:
     def open(cls, folder: str | Path) -> RegionStore:
         """Return the store in a folder of region features, or in a scene folder with ``language_features`` in it."""
         path = existing_folder(folder, "a folder of region features", "make them first, or check the path")
-        path = region_folder(path)
+        path = path / FEATURES_FOLDER if (path / FEATURES_FOLDER).is_dir() else path
         manifest = RegionManifest.read(path)
         if manifest is not None:
             return cls(path, manifest)
@@ -159,12 +159,6 @@ class RegionStore:
             return False
         return (view.manifest, view.photograph) == (self.fingerprint, photograph)
 
-    def check_free(self, stems: Iterable[str], overwrite: bool) -> None:
-        """Check that these views may be written."""
-        for stem in stems:
-            for path in self.files(stem):
-                check_output(path, overwrite=overwrite)
-
     def write(self, regions: ViewRegions, stem: str | None = None, overwrite: bool = False) -> int:
         """Write a view; returns the bytes of its files.
 
@@ -192,7 +186,7 @@ def staged_store(
     store = RegionStore.create(folder, manifest, overwrite)
     manifest_file = [MANIFEST]
     if RegionManifest.read(folder) == manifest:
-        store.check_free(stems, overwrite)
+        check_output(*(path for stem in stems for path in store.files(stem)), overwrite=overwrite)
         manifest_file = []
     with staged(folder, manifest_file, overwrite) as hidden:
         if manifest_file:

@@ -29,11 +29,6 @@ class ViewRegions:
         return sum(len(rows) for rows in self.embeddings.values())
 
 
-def region_folder(path: Path) -> Path:
-    """Return the folder of region features of a scene folder; ``path`` itself where it is none."""
-    return path / FEATURES_FOLDER if (path / FEATURES_FOLDER).is_dir() else path
-
-
 def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
     """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves;
     with ``below`` also those in sub-folders, with their paths."""

@@ -22,9 +22,8 @@ WITHOUT_SH = (
     "has no SH colours",
     "it was trained with appearance features (such as splatfacto-w); export a PLY with its own script",
 )
-_LOG_THIN = math.log(
-    3e-4
-)  # third scale of flat Gaussians, by the smaller of two; viewers take 1e-6 in any unit
+# Third scale of flat Gaussians, by the smaller of two; viewers take 1e-6 in any unit.
+_LOG_THIN = math.log(3e-4)
 _LEAST_JUDGED = 16  # Gaussians
 _HUGE = 0.05  # of the extent, for the median Gaussian
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within

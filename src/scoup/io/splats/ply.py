@@ -140,11 +140,9 @@ def _activated(table: PlyTable, activated: bool | None = None) -> dict[str, np.n
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
-    scales, opacities = (
-        table.columns(tuple(name for name in _SCALE if name in table.names)),
-        table.columns(("opacity",)),
-    )
-    logs, logits = logs_and_logits(table.path, table.columns(_CENTER), scales, opacities[:, 0], activated)
+    means, opacities = table.columns(_CENTER), table.columns(("opacity",))[:, 0]
+    scales = table.columns(tuple(name for name in _SCALE if name in table.names))
+    logs, logits = logs_and_logits(table.path, means, scales, opacities, activated)
     scales, opacities = scales_from_logs(three_logs(logs)), opacities_from_logits(logits)
     if _FILTER in table.names:
         # Of Mip-Splatting: the least size that the photographs resolve, which widens a Gaussian and makes it fainter.
@@ -154,7 +152,7 @@ def _activated(table: PlyTable, activated: bool | None = None) -> dict[str, np.n
             scales = np.sqrt(after).astype(np.float32)
             opacities = (opacities * np.sqrt((before / after).prod(1))).astype(np.float32)
     return {
-        "means": table.columns(_CENTER),
+        "means": means,
         "quats": unit_quats(table.columns(_ROTATION)),
         "scales": scales,
         "opacities": opacities,

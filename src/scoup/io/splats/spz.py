@@ -25,12 +25,9 @@ from scoup.io.splats.spz_container import SpzHeader, read_container, write_conta
 from scoup.scene import Gaussians
 
 _AXIS: Axis = "x"
-_QUARTER = np.array(
-    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32
-)  # from right, back, down to right, down, front
-MOST_BITS = (
-    16  # after the binary point of a coordinate; where they are too few, scales are clipped, too, and said
-)
+# From right, back, down to right, down, front.
+_QUARTER = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
+MOST_BITS = 16  # after the binary point of a coordinate
 _MOST_FIXED = (1 << 23) - 1  # what 24 bits with a sign hold
 _MOST_DEGREE = {3: 3, 4: 4}  # of SH, by version that is written
 _COLOR = 0.15  # of a base colour's coefficient in a byte

@@ -16,9 +16,8 @@ from scoup.base import FileFormatError, ScoupWarning, WorldFrame, counted
 from scoup.io.splats.spz_georeference import GEOREFERENCE, georeference_record, read_georeference
 
 MAGIC = 0x5053474E  # "NGSP"
-_START = struct.Struct(
-    "<IIIBBBB"
-)  # magic, version, count, SH degree, fraction bits, flags, reserved or streams
+# Magic, version, count, SH degree, fraction bits, flags, reserved or streams.
+_START = struct.Struct("<IIIBBBB")
 _PLACE = struct.Struct("<I12x")  # of the table of streams; the rest of the header of version 4
 _STREAM = struct.Struct("<QQ")  # compressed and original size
 _RECORD = struct.Struct("<II")  # of an extension: type and bytes behind it
@@ -27,10 +26,8 @@ _ORBIT, _AXES = 0xADBE0002, 0xADBE0003  # limits of a viewer's camera; the axes 
 _MOST_RECORDS = 1 << 16  # bytes of the extensions of a version before 4
 _MOST_DEGREE = 4
 _ANY_WINDOW, _MOST_WINDOW = 1 << 23, 1 << 27  # bytes: of any stream by the usual levels of zstd, and of all
-_RATIO, _ANY_BYTES = (
-    100,
-    4 << 20,
-)  # what unpacks to more than both is made to fill the memory; scenes shrink tenfold
+# What unpacks to more than both is made to fill the memory; scenes shrink tenfold.
+_RATIO, _ANY_BYTES = 100, 4 << 20
 _DAMAGED = "the file is damaged; copy or export it again"
 
 

@@ -14,9 +14,8 @@ import numpy as np
 from scoup.base import InputError, WorldFrame
 
 GEOREFERENCE = 0x4E530001  # the type of its records
-_RECORD = struct.Struct(
-    "<BBH3d4ddd"
-)  # version, flags, bytes of the name behind it, origin, rotation, scale, epoch
+# Version, flags, bytes of the name behind it, origin, rotation, scale, epoch.
+_RECORD = struct.Struct("<BBH3d4ddd")
 _CODE = b"EPSG:4978"
 _RADIUS, _SQUARE = 6_378_137.0, 6.694379990141e-3  # of the equator in metres, and eccentricity of WGS 84
 _FARTHEST = 1e6  # metres above or below the ellipsoid

@@ -63,11 +63,6 @@ def render_channels(projection: TritonProjection, values: Tensor) -> tuple[Tenso
     return image, alpha
 
 
-def render_values(projection: TritonProjection, values: Tensor) -> Tensor:
-    """See ``raster.render_values``."""
-    return render_channels(projection, values)[0]
-
-
 @dataclass(frozen=True)
 class ChannelBlocks:
     """Channels that one program renders, of so many Gaussians at a time, with so many warps."""
@@ -136,24 +131,21 @@ def render_cosines(
     projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
     """See ``raster.render_cosines``. No map of coefficients is kept."""
-    levels, count = len(codebook), len(queries)
     codebook, queries = codebook.to(projection.device), queries.to(projection.device)
     scores = float32_products(codebook, queries)
-    shape = (levels, count, projection.height, projection.width)
-    return _render_products(projection, indices, weights, codebook, scores, shape, pixels_last=True)
+    return _render_products(projection, indices, weights, codebook, scores, pixels_last=True)
 
 
 def render_cosines_and_norms(
     projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
     """See ``raster.render_cosines_and_norms``."""
-    levels, count = len(codebook), len(queries)
+    count = len(queries)
     codebook, queries = codebook.to(projection.device), queries.to(projection.device)
     scores = float32_products(codebook, queries)
     # One column more, of ones: the sum of the coefficients by the norm. The sum itself is a render of channels.
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
-    shape = (levels, count + 1, projection.height, projection.width)
-    products = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
+    products = _render_products(projection, indices, weights, codebook, table, pixels_last=True)
     device = projection.device
     counting = indices.to(device).long() < codebook.shape[1]
     of_codes = (weights.to(device).float() * counting).sum(-1)
@@ -166,10 +158,8 @@ def render_features(
     projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor
 ) -> Tensor:
     """See ``raster.render_features``."""
-    levels, _, dim = codebook.shape
     codebook = codebook.to(projection.device)
-    shape = (levels, projection.height, projection.width, dim)
-    return _render_products(projection, indices, weights, codebook, codebook, shape, pixels_last=False)
+    return _render_products(projection, indices, weights, codebook, codebook, pixels_last=False)
 
 
 def _render_products(
@@ -178,12 +168,13 @@ def _render_products(
     weights: Tensor,  # [N, S, K]
     codebook: Tensor,  # [S, L, D]
     table: Tensor,  # [S, L, C]
-    shape: tuple[int, ...],  # of the result
     pixels_last: bool,
 ) -> Tensor:
-    """Coefficients times ``table`` over the norm of the decoded feature."""
+    """Coefficients times ``table`` over the norm of the decoded feature, [S, C, H, W] or [S, H, W, C]."""
     n_atoms, columns = table.shape[1:]
     levels, k = indices.shape[1:]
+    size = projection.height, projection.width
+    shape = (levels, columns, *size) if pixels_last else (levels, *size, columns)
     if 0 in (projection.n_gaussians, k, n_atoms, *shape):
         return torch.zeros(shape, device=projection.device)
     out = torch.empty(shape, device=projection.device)  # every number is written

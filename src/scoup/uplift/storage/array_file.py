@@ -45,11 +45,6 @@ def stored_files(path: Path) -> list[Path]:
     return sorted(path.glob(f"[!.]*{ENDING}"))
 
 
-def view_files(path: Path) -> list[Path]:
-    """Return the files of the views among them."""
-    return [file for file in stored_files(path) if file.stem != SCENE]
-
-
 @dataclass(frozen=True, eq=False)
 class StoredArrays:
     """The contents of one file."""
@@ -122,17 +117,14 @@ def _mapped(path: Path) -> NDArray[np.uint8]:
     """Map a file without keeping it open: there may be more views than a process may have open files."""
     try:
         size = path.stat().st_size
-        data = (
-            torch.from_file(str(path), False, size, dtype=torch.uint8)
-            if size
-            else torch.zeros(0, dtype=torch.uint8)
-        )
+        if not size:
+            return np.zeros(0, np.uint8)
+        return torch.from_file(str(path), False, size, dtype=torch.uint8).numpy()
     except OSError as error:
         raise InputError(str(FileFormatError.unreadable(path, error))) from error
     except RuntimeError as error:  # torch's, for a file that it cannot open
         reason = FileNotFoundError() if not path.exists() else OSError(str(error).splitlines()[0])
         raise InputError(str(FileFormatError.unreadable(path, reason))) from error
-    return data.numpy()
 
 
 def _array(data: NDArray[np.uint8], dtype: str, shape: list[int], data_offsets: list[int]) -> NDArray[Any]:

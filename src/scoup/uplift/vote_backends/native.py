@@ -2,50 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base import required_core
-from scoup.scene import SparseCodes, index_dtype
+from scoup.scene import index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.voting import BATCHES, CodedEntries
+from scoup.uplift.voting import BATCHES, PreparedVote
 
 
-class Vote:
+class Vote(PreparedVote):
     """See ``reference.Vote``."""
 
     batches = BATCHES
 
-    def __init__(
-        self,
-        n_gaussians: int,
-        views: Sequence[CodedEntries],
-        codes: Sequence[SparseCodes],
-        grams: Tensor,
-        device: torch.device,
-    ) -> None:
-        self._shape = n_gaussians, len(codes), codes[0].n_atoms
+    def __post_init__(self) -> None:
         arrays = []
-        for view in views:
+        for view in self.views:
             sums = view.entries
             arrays.append(
                 (sums.buckets, sums.starts, sums.places, sums.combinations, sums.weights, view.regions)
             )
-        tables = [tuple(_array(tensor) for tensor in (level.indices, level.weights)) for level in codes]
+        tables = [tuple(_array(tensor) for tensor in (level.indices, level.weights)) for level in self.codes]
         with required_core() as core:
-            self._vote = core.Vote(n_gaussians, _array(grams), arrays, tables)
+            self._vote = core.Vote(self.n_gaussians, _array(self.grams), arrays, tables)
 
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
     ) -> tuple[Tensor, Tensor]:
-        count, levels, n_atoms = self._shape
-        first, last = buckets.start * BUCKET, min(buckets.stop * BUCKET, count)
-        indices = torch.empty(max(0, last - first), levels, keep, dtype=index_dtype(n_atoms))
-        weights = torch.empty(max(0, last - first), levels, keep)
+        first, last = buckets.start * BUCKET, min(buckets.stop * BUCKET, self.n_gaussians)
+        shape = max(0, last - first), len(self.codes), keep
+        indices = torch.empty(shape, dtype=index_dtype(self.codes[0].n_atoms))
+        weights = torch.empty(shape)
         if not buckets:  # a process may have no views
             return indices, weights
         known = None if earlier is None else _arrays(earlier)

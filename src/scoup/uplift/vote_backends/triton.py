@@ -8,7 +8,7 @@ Imports triton: import this module only if tensors are on a GPU.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,26 +44,18 @@ class Vote(reference.Vote):
 
     batches = 1
 
-    def __init__(
-        self,
-        n_gaussians: int,
-        views: Sequence[CodedEntries],
-        codes: Sequence[SparseCodes],
-        grams: Tensor,
-        device: torch.device,
-    ) -> None:
-        super().__init__(n_gaussians, views, codes, grams, device)
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self._known: dict[range, SortedEntries] = {}
-        self._entries_of_bucket = np.zeros(-(-n_gaussians // BUCKET), np.int64)
-        for view in views:
+        self._entries_of_bucket = np.zeros(-(-self.n_gaussians // BUCKET), np.int64)
+        for view in self.views:
             add_counts(view.entries, self._entries_of_bucket)
-        counts = [len(view.regions) for view in views]
-        self._first_combinations = np.cumsum([0, *counts])
-        k = max(level.k for level in codes)
-        self._atoms = torch.cat([_padded(level.indices.int(), k) for level in self._codes])
-        self._weights = torch.cat([_padded(level.weights, k) for level in self._codes])
+        self._first_combinations = np.cumsum([0, *(len(view.regions) for view in self.views)])
+        k = max(level.k for level in self.codes)
+        self._atoms = torch.cat([_padded(level.indices.int(), k) for level in self.codes])
+        self._weights = torch.cat([_padded(level.weights, k) for level in self.codes])
         self._rows = self._rows_of_combinations()
-        norms = [norms_of(level, gram) for level, gram in zip(self._codes, self._grams, strict=True)]
+        norms = [norms_of(level, gram) for level, gram in zip(self.codes, self.grams, strict=True)]
         self._inverse_norms = torch.cat(
             [torch.where(norm > 0, 1 / norm.clamp(min=1e-12), 0.0) for norm in norms]
         )
@@ -74,7 +66,7 @@ class Vote(reference.Vote):
 
     def largest(self, earlier: EarlierRound | None, buckets: range, keep: int) -> tuple[Tensor, Tensor]:
         """See ``reference.Vote.largest``."""
-        n_atoms = self._codes[0].n_atoms
+        n_atoms = self.codes[0].n_atoms
         if not self._finds(keep):
             return super().largest(earlier, buckets, keep)
         sums, indices = self._add_up(earlier, buckets, keep)
@@ -91,30 +83,30 @@ class Vote(reference.Vote):
         """
         entries = self._entries_of(buckets)
         first, count = buckets.start * BUCKET, len(entries.starts) - 1
-        levels, n_atoms = len(self._codes), self._codes[0].n_atoms
+        levels, n_atoms = len(self.codes), self.codes[0].n_atoms
         if earlier is None:
             earlier_k, nothing = 0, self._weights[:0]
             known = (nothing, nothing, nothing)
         else:
             rows = slice(first, first + count)
             earlier_k = earlier.indices.shape[2]
-            atoms = rows_of(earlier.indices, rows).to(self._device).int()
-            weights = earlier.weights[rows].to(self._device)
-            known = (atoms.contiguous(), weights.contiguous(), earlier.sharpness.to(self._device))
-        out = torch.empty(count, levels, keep or n_atoms, device=self._device)
-        top_atoms = torch.empty(count, levels, keep, dtype=torch.int32, device=self._device)
+            atoms = rows_of(earlier.indices, rows).to(self.device).int()
+            weights = earlier.weights[rows].to(self.device)
+            known = (atoms.contiguous(), weights.contiguous(), earlier.sharpness.to(self.device))
+        out = torch.empty(count, levels, keep or n_atoms, device=self.device)
+        top_atoms = torch.empty(count, levels, keep, dtype=torch.int32, device=self.device)
         if out.numel():
             with torch.cuda.device_of(out):
                 vote_kernel[(count, levels)](
                     entries.starts, entries.combinations, entries.weights, self._rows, self._atoms, self._weights,
-                    self._inverse_norms, self._grams, *known, out, top_atoms, levels, n_atoms, K=self._atoms.shape[1],
+                    self._inverse_norms, self.grams, *known, out, top_atoms, levels, n_atoms, K=self._atoms.shape[1],
                     EARLIER_K=earlier_k, KEEP=keep, **blocks(n_atoms),
                 )  # fmt: skip
         return out, top_atoms
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         there = EarlierRound(
-            earlier.indices.to(self._device), earlier.weights.to(self._device), earlier.sharpness
+            earlier.indices.to(self.device), earlier.weights.to(self.device), earlier.sharpness
         )
         deviations = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets, 1)]
         return [torch.cat(of_level) for of_level in zip(*deviations, strict=True)]
@@ -123,8 +115,8 @@ class Vote(reference.Vote):
         """Yield as many buckets at a time as the bounds above allow, one at least."""
         if not buckets:
             yield buckets
-        numbers = keep if self._finds(keep) else self._codes[0].n_atoms
-        most = max(1, MOST_SUMS // (BUCKET * len(self._codes) * numbers))
+        numbers = keep if self._finds(keep) else self.codes[0].n_atoms
+        most = max(1, MOST_SUMS // (BUCKET * len(self.codes) * numbers))
         ends = np.cumsum(self._entries_of_bucket)
         first = buckets.start
         while first < buckets.stop:
@@ -136,20 +128,20 @@ class Vote(reference.Vote):
 
     def _finds(self, keep: int) -> bool:
         """Return whether the kernel finds the largest sums itself."""
-        return keep <= min(MOST_KEPT, self._codes[0].n_atoms)
+        return keep <= min(MOST_KEPT, self.codes[0].n_atoms)
 
     def _rows_of_combinations(self) -> Tensor:
         """Return [C, S] int32, the rows of all views' regions among the codes of all levels."""
         first, parts = 0, []
-        for level, codes in enumerate(self._codes):
+        for level, codes in enumerate(self.codes):
             regions = np.concatenate(
-                [view.regions[:, level] for view in self._views] or [np.zeros(0, np.int64)]
+                [view.regions[:, level] for view in self.views] or [np.zeros(0, np.int64)]
             )
             parts.append(np.where(regions >= 0, regions + first, -1))
             first += len(codes)
-        return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self._device)
+        return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self.device)
 
-    def _check(self, view: CodedEntries, n_gaussians: int) -> None:
+    def _check(self, view: CodedEntries) -> None:
         """Entries are checked on the device, when they are sorted."""
 
     def _entries_of(self, buckets: range) -> SortedEntries:
@@ -162,11 +154,11 @@ class Vote(reference.Vote):
         return known
 
     def _sorted(self, buckets: range) -> SortedEntries:
-        n_buckets, device = len(buckets), self._device
-        count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
+        n_buckets, device = len(buckets), self.device
+        count = max(0, min(buckets.stop * BUCKET, self.n_gaussians) - buckets.start * BUCKET)
         groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float32)]
-        for number, view in enumerate(self._views):
+        for number, view in enumerate(self.views):
             entries = view.entries
             low, high = entries.find_buckets(buckets.start, buckets.stop)
             starts = entries.starts[low : high + 1].astype(np.int64)
