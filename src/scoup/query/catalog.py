@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from scoup.base import InputError, card, rounded_vector
+from scoup.base import InputError, rounded_vector
 from scoup.field import Field
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.question import Question
@@ -41,9 +41,6 @@ class Catalog:
 
     def __repr__(self) -> str:
         return f"Catalog({len(self.objects)} objects, {len(self.things)} things, {len(self.relations)} relations)"
-
-    def _repr_html_(self) -> str:
-        return card(f"{len(self.things)} things", {str(thing.number): thing.text for thing in self.things})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene graph as plain JSON values (docs/formats.md, "Scene graph")."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, UnknownNameError, card
+from scoup.base import InputError, UnknownNameError
 from scoup.field import NO_THING, Field
 from scoup.pictures import Picture, contact_sheet, label_colors, swatch_legend
 from scoup.query.answer import Answer
@@ -38,17 +38,8 @@ class GaussianLabels:
 
     ids: Tensor
     """[N] int32, the position of a word in ``names``; -1 for none of them."""
-    names: tuple[str, ...]
-    """Q words."""
-    scores: tuple[float | None, ...]
-    """Per word, as of ``Answer``; None with too few everyday words."""
-    presence: tuple[bool, ...]
-    """Per word, whether the thing is in the scene; true if that was not judged."""
-    levels: tuple[str, ...]
-    """Per word, the name of the level that answers it."""
-    things: tuple[tuple[int, ...], ...]
-    """Per word, the numbers of the things that answer it (``field.things`` describes them); empty where the votes
-    answer, and for what is not there."""
+    answers: tuple[Answer, ...]
+    """The answer to each of Q words."""
     instances: Tensor
     """[N] int32, which of these things it belongs to; -1 without a word, and where the votes answer."""
 
@@ -64,9 +55,9 @@ class GaussianLabels:
         of_name: dict[str, Answer] = {}
         for answer in answers:
             of_name.setdefault(answer.word, answer)
-        names, answers = tuple(of_name), [*of_name.values()]
-        if NONE_NAME in names:
-            raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")
+        answers = [*of_name.values()]
+        if NONE_NAME in of_name:
+            raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(of_name)})")
         ids = labels_of_answers(answers, field.levels)
         instances = torch.full_like(ids, NO_THING)
         for number, answer in enumerate(answers):
@@ -76,22 +67,16 @@ class GaussianLabels:
                 instances = torch.where(
                     ids == number, torch.where(inside, owners, NO_THING).amax(1), instances
                 )
-        return cls(
-            ids,
-            names,
-            tuple(answer.score for answer in answers),
-            tuple(answer.presence for answer in answers),
-            tuple(answer.level for answer in answers),
-            tuple(answer.things for answer in answers),
-            instances,
-        )
+        return cls(ids, tuple(answers), instances)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The Q words."""
+        return tuple(answer.word for answer in self.answers)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
         return f"GaussianLabels({len(self.ids):,} Gaussians; {counts})"
-
-    def _repr_html_(self) -> str:
-        return card(f"Labels of {len(self.ids):,} Gaussians", self.counts())
 
     def mask(self, name: str) -> Tensor:
         """Return the Gaussians of a word, or of "none", [N] boolean.
@@ -116,15 +101,12 @@ class GaussianLabels:
         classes = [
             {
                 "id": number,
-                "name": name,
+                "name": answer.word,
                 "color": colors[number],
-                "gaussians": counts[name],
-                "level": self.levels[number],
-                "things": list(self.things[number]),
-                "present": self.presence[number],
-                "score": None if self.scores[number] is None else round(self.scores[number] or 0.0, 4),
+                "gaussians": counts[answer.word],
+                **{name: answer.to_dict()[name] for name in ("level", "things", "present", "score")},
             }
-            for number, name in enumerate(self.names)
+            for number, answer in enumerate(self.answers)
         ]
         none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
         return {"gaussians": len(self.ids), "classes": classes, "none": none}

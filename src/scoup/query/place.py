@@ -7,7 +7,6 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base import card
 from scoup.field import Field
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox
@@ -47,10 +46,6 @@ class Place:
 
     def __repr__(self) -> str:
         return f"Place({self.answer.text!r}: {self.describe()})"
-
-    def _repr_html_(self) -> str:
-        facts = {name: value for name, value in self.to_dict().items() if name != "box"}
-        return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
     def describe(self) -> str:
         """Return how many things it is, the place of the first, and the score, in a few words."""

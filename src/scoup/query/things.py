@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import WorldFrame, card, rounded_vector
+from scoup.base import WorldFrame, rounded_vector
 from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
@@ -119,9 +119,6 @@ class Thing:
         named = f" {self.text!r}" if self.text else ""
         position = rounded_vector(self.position.tolist())
         return f"Thing({what}{named} at {position}, level {self.level}, {self.n_gaussians:,} Gaussians)"
-
-    def _repr_html_(self) -> str:
-        return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
 
     def describe(self) -> str:
         """Return position and extent in words, for people."""
