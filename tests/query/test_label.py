@@ -28,8 +28,15 @@ from scoup.pictures import label_colors
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.boxes import PointSets
-from scoup.query.label_writing import LabelFiles, labelled_colors
-from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map, labels_of_answers
+from scoup.query.labels import (
+    AT_A_TIME,
+    NONE,
+    GaussianLabels,
+    LabelFiles,
+    label_map,
+    labelled_colors,
+    labels_of_answers,
+)
 from scoup.query.language_field import LanguageField
 from scoup.scene import SH_C0, estimate_up
 from support import examples

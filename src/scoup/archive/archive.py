@@ -53,14 +53,7 @@ from scoup.base import (
 from scoup.field import place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
-from scoup.query import (
-    Certainty,
-    LanguageField,
-    OrientedBox,
-    Thing,
-    ThingIndex,
-    warn_of_another_model,
-)
+from scoup.query import Certainty, LanguageField, OrientedBox, Thing, ThingIndex, warn_of_another_model
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

@@ -12,12 +12,7 @@ import tyro
 
 from scoup.base import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import (
-    DeviceCommon,
-    Model,
-    arg,
-    check_number,
-)
+from scoup.cli.options import DeviceCommon, Model, arg, check_number
 from scoup.cli.stop import end_soon, exit_code
 
 if TYPE_CHECKING:

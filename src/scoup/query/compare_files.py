@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -13,18 +12,9 @@ from PIL import Image
 from scoup.base import Progress, counted, no_progress, staged, write_text
 from scoup.field import Field
 from scoup.pictures import Picture, as_picture
-from scoup.query.catalog_writing import (
-    PAGE,
-    PICTURES,
-    Card,
-    cards_page,
-    crop_window,
-    cropped,
-    viewing_cameras,
-)
-from scoup.query.comparison import KINDS, Change, Comparison, compare
+from scoup.query.catalog import PAGE, PICTURES, Card, cards_page, crop_window, cropped, viewing_cameras
+from scoup.query.comparison import KINDS, Change, Comparison
 from scoup.query.field_view import FieldView
-from scoup.query.language_field import LanguageField
 from scoup.query.registration import Array, scale_of
 from scoup.scene import Camera
 
@@ -34,15 +24,6 @@ TITLES: dict[str, str] = {
     **{kind: kind.capitalize() for kind in KINDS},
     "unseen": "In one capture only, at a place that the other did not see",
 }
-
-
-def compare_captures(
-    old: LanguageField, new: LanguageField, words: Sequence[str], transform: Array | None, folder: Path, **options: Any
-) -> tuple[Comparison, list[str]]:  # fmt: skip
-    """Compare two fields (``compare``), and write the files with options of ``save_comparison``."""
-    comparison = compare(old, new, words, transform)
-    old.encoder.close()  # models are large
-    return comparison, save_comparison(old, new, comparison, folder, **options)
 
 
 def save_comparison(

@@ -23,15 +23,7 @@ from scoup.base import InputError, ScoupWarning, WorldFrame, rounded_vector
 from scoup.field import NO_THING, Field
 from scoup.query import constants
 from scoup.query.language_field import LanguageField
-from scoup.query.registration import (
-    Array,
-    Capture,
-    Registration,
-    centred,
-    moved_points,
-    register,
-    scale_of,
-)
+from scoup.query.registration import Array, Capture, Registration, centred, moved_points, register, scale_of
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.query.view_answer import render_depth

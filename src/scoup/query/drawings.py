@@ -28,8 +28,8 @@ from scoup.query.ask import answers_of
 from scoup.query.edits import best_camera
 from scoup.query.field_view import FieldView
 from scoup.query.paths import camera_path, turntable
-from scoup.query.place import Place
 from scoup.query.question import Question
+from scoup.query.things import Place
 from scoup.scene import Camera, Cameras, SparseCodes, estimate_up
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
@@ -52,29 +52,17 @@ def drawing(
     plain: bool = False,
 ) -> Draw:
     """Return a function that draws a view: the splat, the codes of a level (by default the middle one), or the
-    relevancy to a question's first text; ``plain``, here and below: without title and legend."""
+    relevancy to a question's first text, at the level of its mask; ``plain``, here and below: without title and
+    legend."""
     if what == "codes":
         return code_drawing(field, len(field.levels) // 2 if level is None else level, plain)
-    return color_drawing(plain) if question is None else relevancy_drawing(field, question, plain)
-
-
-def color_drawing(plain: bool = False) -> Draw:
-    """Return a function that draws the splat."""
+    answers = None if question is None else answers_of(field, question)
 
     def draw(view: FieldView) -> Picture:
-        picture = as_picture(view.renders.colors())
-        return picture if plain else captioned(picture, "colour", view.camera.name)
-
-    return draw
-
-
-def relevancy_drawing(field: Field, question: Question, plain: bool = False) -> Draw:
-    """Return a function that draws the relevancy to a question's first text as a heat map, at the level of its mask."""
-    answers = answers_of(field, question)
-
-    def draw(view: FieldView) -> Picture:
-        seen = view.show(answers)[0]
         rgb = view.renders.colors().cpu()
+        if answers is None:
+            return as_picture(rgb) if plain else captioned(as_picture(rgb), "colour", view.camera.name)
+        seen = view.show(answers)[0]
         if plain:
             return heat_overlay(seen.heat, rgb)
         return heat_map(seen.heat, rgb, seen.text, seen.level, float(seen.heat.max()), view.camera.name)

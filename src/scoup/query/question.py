@@ -14,13 +14,7 @@ from torch import Tensor
 
 from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
 from scoup.field import Field, NameTable
-from scoup.models import (
-    CANONICAL_PHRASES,
-    LEAST_WORDS,
-    TextEncoder,
-    with_everyday,
-    words_problem,
-)
+from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, with_everyday, words_problem
 from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import check_share, presence_threshold
