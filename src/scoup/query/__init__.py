@@ -9,8 +9,7 @@ from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, asked_things
 from scoup.query.boxes import OrientedBox
 from scoup.query.catalog import draw_things, related_objects, save_catalog
-from scoup.query.compare_files import save_comparison
-from scoup.query.comparison import compare
+from scoup.query.comparison import compare, save_comparison
 from scoup.query.drawings import drawing, placed_atoms
 from scoup.query.edits import SceneEdit, SplatTable
 from scoup.query.expression import Expression, parse_expression

@@ -70,10 +70,7 @@ class LanguageField(Field):
 
     @classmethod
     def load(
-        cls,
-        path: str | Path,
-        gaussians: Gaussians | None = None,
-        words: Encoder | None = None,
+        cls, path: str | Path, gaussians: Gaussians | None = None, words: Encoder | None = None
     ) -> LanguageField:
         """Read a ``.scoup`` file.
 

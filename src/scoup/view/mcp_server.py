@@ -177,13 +177,8 @@ class _Lines:
 
 
 def _strict(kind: Any, refusal: Any, parameters: Mapping[str, Mapping[str, inspect.Parameter]]) -> Any:
-    """Return a kind of server that refuses unknown arguments, and names wrong ones in one sentence.
-
-    Args:
-        kind: ``mcp.server.mcpserver.MCPServer``.
-        refusal: ``mcp.server.mcpserver.exceptions.ToolError``.
-        parameters: of each tool.
-    """
+    """Return a subclass of ``MCPServer`` that refuses unknown arguments, and names wrong ones in one sentence of a
+    ``ToolError``."""
     from pydantic import ValidationError
 
     class Strict(kind):
@@ -232,13 +227,8 @@ def serve_http(
 ) -> None:
     """Serve over HTTP, to this machine only, until a signal ends it.
 
-    The package `mcp` refuses other names of the host than those of loopback, and requests of other sites.
-
-    Args:
-        server: from ``make_server``.
-        port: to bind to; 0 takes any.
-        announce: called with the address and a new token once clients can connect.
-        stopping: called with the number of such a signal.
+    The package `mcp` refuses other names of the host than those of loopback, and requests of other sites. ``announce``
+    is called with the address and a new token once clients can connect.
 
     Raises:
         InputError: the port cannot be bound to.
