@@ -1,4 +1,4 @@
-"""Object map of a scene: its named things, their places, and what is on or inside what; as data, and as files: the
+"""A catalogue of a scene: every thing with a name, place and box, and the relations between things. Its files are the
 scene graph, a table, pictures and a page."""
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ but with its Gaussians: it is still there if its own lie on Gaussians whose thin
 there are one object if they lie in the box of the largest of them. It has gone only if cameras of the other capture
 look through its place, or at something else in it. An object gone from one place and a new one elsewhere that look
 alike, one to one, are one that moved. Ours; measured in docs/many_scenes.md.
+
+The files of a comparison are JSON, pictures from before and after, and a page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pictures of fields: functions that draw a view, frames of videos, and the card of a notebook."""
+"""Pictures of fields: functions that draw a view, cameras and frames of videos, and the card of a notebook."""
 
 from __future__ import annotations
 

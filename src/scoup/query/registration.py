@@ -118,7 +118,7 @@ def register(old: Capture, new: Capture, centre: Array, transform: Array | None 
     """Return the registration of two captures under a transform [4, 4], or under the one that their things give;
     ``centre`` [D] is the mean embedding of these.
 
-    The identity if it fits the Gaussians as well as the transform found. The same captures give the same bits.
+    It is the identity if that fits the Gaussians as well as the transform found. The same captures give the same bits.
     """
     pairs = _Pairs.of(old, new, centre)
     if transform is not None:
