@@ -202,19 +202,3 @@ def test_within_is_in_metres() -> None:
     assert plain[0] < plain[1] < plain[2]
     set_frame(*ALL)
     assert [count(within) for within in (0, 0.2, 0.4)] == plain
-
-
-@pytest.mark.parametrize("old", [
-    "query f.scoup kettle --metres-per-unit 2", "query f.scoup kettle --longest-side 1", "label f.scoup mug --up 0 0 1",
-    "select f.scoup mug --out a.ply --metres-per-unit 2", "catalog f.scoup --up 0 0 1",
-    "mcp f.scoup --metres-per-unit 2",
-    "compare f.scoup f.scoup --metres-per-unit 2",
-])  # fmt: skip
-def test_options_that_verbs_had_are_named_with_the_new_verb(old: str) -> None:
-    code, _, err = run(*old.split())
-    option = next(part for part in old.split() if part in ("--metres-per-unit", "--longest-side", "--up"))
-    assert code == 2
-    assert f"{option}: use scoup frame FIELD" in err
-    code, out, _ = run(*old.split(), "--json")
-    assert code == 2
-    assert "use scoup frame FIELD" in json.loads(out)["error"]

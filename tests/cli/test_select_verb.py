@@ -158,7 +158,7 @@ def test_labels_by_words_of_a_list_and_maps_of_one_camera():
     listed = run_json(*label, "listed", "--words", "words.txt")
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
     labels = LanguageField.load("f.scoup").label(["mug", "kettle"])
-    assert [one["things"] for one in listed["classes"]] == [list(things) for things in labels.things]
+    assert [one["things"] for one in listed["classes"]] == [list(answer.things) for answer in labels.answers]
     given = run_json("label", "f.scoup", "mug", "kettle", *label[2:], "given", "--camera", "view_01")
     assert given["classes"] == listed["classes"]
     assert {"maps/view_01.png", "maps/coco.json"} == {file for file in given["files"] if "maps" in file}

@@ -16,13 +16,12 @@ from PIL import Image, ImageDraw
 from messages import refuses
 from scoup import pictures
 from scoup.base import ScoupError
-from scoup.pictures.animation import save_animation
 from scoup.pictures.colors import heat_colors
 from scoup.pictures.legends import scale_ends
 from scoup.pictures.lettering import INK, PAPER, lines_of, text_width
 from scoup.pictures.overlays import eroded
 from scoup.pictures.region_sheet import numbered
-from scoup.pictures.video import check_video_writer, save_video
+from scoup.pictures.video import check_video_writer, save_animation, save_video
 
 SIZES = [(1, 1), (1, 300), (300, 1), (36, 48), (180, 240)]
 

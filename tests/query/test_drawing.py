@@ -17,7 +17,7 @@ from scoup.pictures import Picture, as_picture, heat_map, heat_overlay
 from scoup.pictures.lettering import PAPER
 from scoup.query.answer import Answer
 from scoup.query.answer_files import MOST_VIEWS, AnswerSheets
-from scoup.query.drawings import code_drawing, color_drawing, relevancy_drawing
+from scoup.query.drawings import code_drawing, drawing
 from scoup.query.field_view import FieldView
 from scoup.query.view_answer import ViewAnswer
 from support import altered
@@ -37,11 +37,11 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
 def test_drawings_of_a_view(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     rgb = raster.render_colors(field.gaussians, camera, field.project(camera))
-    assert np.array_equal(color_drawing(plain=True)(field.at(camera)), as_picture(rgb))
+    assert np.array_equal(drawing(field, "color", plain=True)(field.at(camera)), as_picture(rgb))
     answer = field.at(camera).answer(queried.texts)[0]
     expected = heat_map(answer.heat, rgb, "word 0", answer.level, float(answer.heat.max()), camera.name)
-    assert np.array_equal(relevancy_drawing(field, queried.texts)(field.at(camera)), expected)
-    plain = relevancy_drawing(field, queried.texts, plain=True)(field.at(camera))
+    assert np.array_equal(drawing(field, "relevancy", question=queried.texts)(field.at(camera)), expected)
+    plain = drawing(field, "relevancy", question=queried.texts, plain=True)(field.at(camera))
     assert np.array_equal(plain, heat_overlay(answer.heat, rgb))
 
 

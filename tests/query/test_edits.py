@@ -13,7 +13,7 @@ from scoup.io import PlyTable, save_gaussians
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.drawings import moving_cameras
-from scoup.query.edits import SplatTable, best_camera, edit_picture, edited
+from scoup.query.edits import SceneEdit, SplatTable, best_camera, edited
 from scoup.query.expression import parse_expression
 from scoup.query.question import Question
 from scoup.scene import SH_C0, Camera, Cameras
@@ -77,7 +77,7 @@ def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
     mask = torch.ones(len(field), dtype=torch.bool)
     chosen = best_camera(field, mask, [away, *field.cameras])
     assert chosen.name != "away.png"
-    picture = edit_picture(field, edited(field.gaussians, mask, "remove"), mask, [chosen], "everything")
+    picture = SceneEdit(field, mask, "remove", (1.0, 0.0, 0.0), 0.5).picture([chosen], "everything")
     middle, third = picture.shape[0] // 2, picture.shape[1] // 3
     before = picture[middle : middle + 40, 16 : third - 16]
     after = picture[middle : middle + 40, 2 * third + 16 : 3 * third - 16]

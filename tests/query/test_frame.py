@@ -15,7 +15,7 @@ from torch import Tensor
 from messages import refuses
 from query.planted_room import FRONT, Box, planted_room
 from scoup.base import WorldFrame
-from scoup.query.paths import MOST_STOPS, camera_path, turntable
+from scoup.query.drawings import MOST_STOPS, camera_path, turntable
 from scoup.scene import Camera, Cameras, estimate_up
 from support import examples
 

@@ -28,8 +28,15 @@ from scoup.pictures import label_colors
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.boxes import PointSets
-from scoup.query.label_writing import LabelFiles, labelled_colors
-from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map, labels_of_answers
+from scoup.query.labels import (
+    AT_A_TIME,
+    NONE,
+    GaussianLabels,
+    LabelFiles,
+    label_map,
+    labelled_colors,
+    labels_of_answers,
+)
 from scoup.query.language_field import LanguageField
 from scoup.scene import SH_C0, estimate_up
 from support import examples
@@ -63,15 +70,13 @@ def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
     for asked in (queried, voted):
         for question in (asked.texts, replace(asked.texts, threshold=0.3)):
             answers, found = list(each_answer(asked.field, question)), asked.field.label(question)
-            assert [*zip(found.levels, found.scores, found.presence, found.things, strict=True)] == [
-                (each.level, each.score, each.presence, each.things) for each in answers
-            ]
+            assert [each.to_dict() for each in found.answers] == [each.to_dict() for each in answers]
             counts = found.counts()
             assert sum(counts.values()) == len(asked.field)
             for number, name in enumerate(found.names):
                 mine = found.ids == number
                 assert counts[name] == int(found.mask(name).sum()) == int(mine.sum())
-                assert set(found.instances[mine].tolist()) <= set(found.things[number] or [NONE])
+                assert set(found.instances[mine].tolist()) <= set(found.answers[number].things or [NONE])
             assert found.mask("none").equal(found.ids == NONE)
     with refuses(UnknownNameError):
         found.mask("word one")
@@ -82,12 +87,12 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried)
         field, texts = asked.field, asked.texts
         bound = sorted(answer.score or 0 for answer in list(each_answer(field, texts)))[6]
         judged = field.label(replace(texts, present_from=bound))
-        present = [number for number, there in enumerate(judged.presence) if there]
+        present = [number for number, there in enumerate(judged.answers) if there.presence]
         assert 0 < len(present) < len(judged.names)
         kept = replace(texts, texts=tuple(texts.texts[n] for n in present), queries=texts.queries[present])
         expected = torch.tensor([*present, NONE])[field.label(kept).ids.long()]
         assert judged.ids.equal(expected.int())
-        assert not any(judged.things[n] for n in range(len(judged.names)) if n not in present)
+        assert not any(judged.answers[n].things for n in range(len(judged.names)) if n not in present)
 
 
 def test_words_differ_from_each_other_and_from_none(queried: Queried) -> None:
@@ -108,6 +113,16 @@ def labels(queried: Queried) -> GaussianLabels:
     return queried.field.label(queried.texts)
 
 
+def labels_of(
+    ids: torch.Tensor, words: tuple[str, ...], instances: torch.Tensor, things: tuple[int, ...] = ()
+) -> GaussianLabels:
+    answers = (
+        Answer(word, ids == number, "m", None, replace(ASKED, word=word), things=things)
+        for number, word in enumerate(words)
+    )
+    return GaussianLabels(ids, tuple(answers), instances)
+
+
 def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
     """Pixel by pixel the words' shares of its light, by one render a word."""
     projection = queried.field.project(queried.camera)
@@ -122,8 +137,7 @@ def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianL
     count = 2 * AT_A_TIME + 5  # more than are rendered together
     ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
     names = tuple(f"thing {number}" for number in range(count))
-    facts = (None,) * count, (True,) * count, ("m",) * count, ((),) * count
-    for each in (labels, GaussianLabels(ids, names, *facts, torch.full_like(ids, NONE))):
+    for each in (labels, labels_of(ids, names, torch.full_like(ids, NONE))):
         found = label_map(queried.field.at(queried.camera), each)
         assert np.array_equal(found.numpy(), literal_map(queried, each))
         assert len(found.unique()) >= 3
@@ -206,8 +220,7 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
 
 def test_words_that_read_alike_have_prims_of_their_own(queried: Queried, tmp_path: Path) -> None:
     rows = torch.arange(len(queried.field)).int()
-    facts = (None, None), (True, True), ("m", "m"), ((0,), (0,))
-    labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)
+    labels = labels_of(rows % 2, ("a b", "a-b"), rows % 4 // 2 - 1, things=(0,))
     stage = usd_of(queried.field, labels, tmp_path)
     prims = stage.GetDefaultPrim().GetChildren()
     beyond = len(queried.field.thing_table or ())

@@ -62,9 +62,7 @@ def check_scene(field: LanguageField, question: Question) -> Answer:
         assert found.presence == bool(things)
         assert found.position is None or found.position.equal(things[0].position)
     assert labels.mask(text).equal(answer.mask)
-    assert (labels.levels, labels.scores, labels.presence, labels.things) == (
-        (answer.level,), (answer.score,), (answer.presence,), (answer.things,),
-    )  # fmt: skip
+    assert [each.to_dict() for each in labels.answers] == [answer.to_dict()]
     return answer
 
 

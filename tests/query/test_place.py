@@ -18,8 +18,7 @@ from query.conftest import ASKED
 from scoup.base import WorldFrame
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.place import Place, place_of
-from scoup.query.things import MOST_LINKED, Thing, connected_parts, rough_parts
+from scoup.query.things import MOST_LINKED, Place, Thing, connected_parts, place_of, rough_parts
 from scoup.scene import Gaussians
 from support import examples, gaussians_at, unit
 

@@ -18,7 +18,7 @@ from scoup.field.thing_table import TENSORS
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.catalog_writing import draw_things, viewing_cameras
+from scoup.query.catalog import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
 from scoup.query.thing_names import _broader as broader

@@ -54,11 +54,10 @@ def test_every_object_has_a_card_with_a_picture_and_one_line(shown: dict[str, An
     assert len(line) < 200
 
 
-def test_what_is_found_in_the_scene_has_a_card_without_a_picture(shown: dict[str, Any]) -> None:
+def test_what_is_found_in_the_scene_is_shown_in_one_line(shown: dict[str, Any]) -> None:
     field = shown["Language field of 80 Gaussians"]
     place = field.location(field.question("word 3", always=True))
     for each in (place, field.label(["word 3", "word 4"]), field.location("word 3").answer):
-        assert "<table>" in each._repr_html_()
         assert "tensor" not in repr(each)
         assert len(repr(each)) < 200
     assert repr(field.cameras[0]).startswith("Camera('view_00.png', 40 x 30, focal 36")

@@ -7,7 +7,7 @@ import json
 import re
 import warnings
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -53,14 +53,7 @@ from scoup.base import (
 from scoup.field import place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
-from scoup.query import (
-    Certainty,
-    LanguageField,
-    OrientedBox,
-    Thing,
-    ThingIndex,
-    warn_of_another_model,
-)
+from scoup.query import Certainty, LanguageField, OrientedBox, Thing, ThingIndex, warn_of_another_model
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -295,24 +288,17 @@ class Archive:
             encoder = self.text_encoder()
             search = Search.of(question, encoder, self._encode(encoder), present_from)
 
-        def find_in(scans: dict[str, Scan]) -> FoundThings:
-            if not (wanted := self._wanted(where, scans)):
-                return FoundThings()
-            with self._asking:
-                index = self._kept.index(scans, search.words, search.digest)
-                asked = AskedScans(search, [*scans.values()], index)
-                answers, n_answers = self._answers(asked, wanted, None if at_least else top)
-                if at_least is not None:
-                    of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
-                    of_scan.sort(key=len, reverse=True)
-                    answers = [
-                        answer for group in of_scan[:top] if len(group) >= at_least for answer in group
-                    ]
-                found = self._found(scans, answers)
-                found.n_answers = n_answers
-                return found
+        def best(scans: dict[str, Scan], wanted: Wanted) -> tuple[list[Found], int | None]:
+            index = self._kept.index(scans, search.words, search.digest)
+            asked = AskedScans(search, [*scans.values()], index)
+            answers, n_answers = self._answers(asked, wanted, None if at_least else top)
+            if at_least is not None:
+                of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
+                of_scan.sort(key=len, reverse=True)
+                answers = [answer for group in of_scan[:top] if len(group) >= at_least for answer in group]
+            return answers, n_answers
 
-        return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
+        return self._ask(where, best)
 
     def find_image(
         self, image: str | Path | Image.Image, where: str | None = None, top: int = 20
@@ -341,21 +327,15 @@ class Archive:
         with self._asking:
             vector = self._embedded(pixels)
 
-        def find_in(scans: dict[str, Scan]) -> FoundThings:
-            if not (wanted := self._wanted(where, scans)):
-                return FoundThings()
-            with self._asking:
-                index = self._kept.index(scans, vector[None], "")
-                alike = (
-                    answer
-                    for answer in look_alikes(
-                        index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
-                    )
-                    if _is_wanted(answer, wanted)
-                )
-                return self._found(scans, [*islice(alike, top)])
+        def best(scans: dict[str, Scan], wanted: Wanted) -> tuple[list[Found], int | None]:
+            index, placed = (
+                self._kept.index(scans, vector[None], ""),
+                [scan.arrays["placed"] for scan in scans.values()],
+            )
+            alike = look_alikes(index, vector, name, placed)
+            return [*islice((answer for answer in alike if _is_wanted(answer, wanted)), top)], None
 
-        return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
+        return self._ask(where, best)
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -474,7 +454,7 @@ class Archive:
                 answers = heapq.nlargest(top, answers, key=lambda answer: answer.rank)
         fatal = unasked.pop() if unasked and not answers else None
         for error in unasked:
-            warnings.warn(str(error), ScoupWarning, stacklevel=5)
+            warnings.warn(str(error), ScoupWarning, stacklevel=7)
         if fatal is not None:
             raise fatal
         return answers, n_answers
@@ -487,6 +467,22 @@ class Archive:
         things = matching_things(where, files, self.folder, self._where_seconds)
         paths = (str(file.absolute()) for file in files)
         return {number: set(things[path]) for number, path in enumerate(paths) if path in things}
+
+    def _ask(
+        self, where: str | None, best: Callable[[dict[str, Scan], Wanted], tuple[list[Found], int | None]]
+    ) -> FoundThings:
+        """Return the best answers, and how many there are if that is known, of scans and wanted things."""
+
+        def find_in(scans: dict[str, Scan]) -> FoundThings:
+            if not (wanted := self._wanted(where, scans)):
+                return FoundThings()
+            with self._asking:
+                answers, n_answers = best(scans, wanted)
+                found = self._found(scans, answers)
+                found.n_answers = n_answers
+                return found
+
+        return self._kept.ask(find_in, lambda things: (thing.scan for thing in things))
 
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> FoundThings:
         """Return things with their places."""

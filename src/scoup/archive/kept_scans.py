@@ -41,12 +41,7 @@ def vector_bytes(vectors: Tensor) -> bytes:
 
 
 class KeptScans:
-    """A cache of the scans of an archive; files that have not changed are read once.
-
-    Args:
-        folder: of the archive.
-        connection: returns a connection to DuckDB.
-    """
+    """A cache of the scans of an archive; files that have not changed are read once."""
 
     def __init__(self, folder: Path, connection: Callable[[], DuckDBPyConnection]) -> None:
         self._folder, self._connection = folder, connection

@@ -29,12 +29,7 @@ from scoup.archive.scan_header import (
     headers,
     read_each,
 )
-from scoup.base import (
-    FileFormatError,
-    WorldFrame,
-    WriteError,
-    atomic_path,
-)
+from scoup.base import FileFormatError, WorldFrame, WriteError, atomic_path
 from scoup.field import NO_THING, NameTable, ThingTable, place_of
 from scoup.query import OrientedBox, Thing, ThingIndex
 

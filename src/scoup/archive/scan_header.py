@@ -107,8 +107,6 @@ def _checked(file: Path, header: Mapping[str, Any]) -> Mapping[str, Any]:
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
     check_format_version(file, header["version"], VERSION)
-    if "arrays" not in header:
-        raise FileFormatError(file, "is a scan of an earlier version of SCOUP", "add its field again")
     if checksum(header) != header["checksum"]:
         raise ValueError("checksum")
     return header

@@ -34,10 +34,6 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
 `scoup VERB --help` explains a verb. Exit codes: 0 done, 1 internal error, 2 bad input, 130
 interrupted, 143 terminated."""
 
-_MOVED = {"--metres-per-unit", "--longest-side", "--up"}
-_MOVED_FROM = ("query", "select", "label", "catalog", "compare", "mcp")
-"""Options that scoup frame has in place of these verbs."""
-
 SCOUP = Family(
     DESCRIPTION,
     {
@@ -83,13 +79,9 @@ def run(arguments: list[str]) -> int:
             verb = parse(arguments, SCOUP, "scoup")
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
-        moved = _MOVED.intersection(arguments) if arguments[0] in _MOVED_FROM else ()
-        advice = f"{', '.join(sorted(moved))}: use scoup frame FIELD, once per field" if moved else ""
         if for_machines and code:
-            said = f"{in_one_line(refusal.getvalue())}; {advice or 'see scoup --help, or scoup VERB --help'}"
+            said = f"{in_one_line(refusal.getvalue())}; see scoup --help, or scoup VERB --help"
             Console(Common(as_json=True)).fail(said, code)
-        elif code and advice:
-            print(advice, file=sys.stderr)
         return code
     return run_verb(verb.common, verb.run)
 

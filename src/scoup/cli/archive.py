@@ -11,12 +11,7 @@ import tyro
 
 from scoup.base import InputError, check_output, counted, listed, write_text
 from scoup.cli.console import Console
-from scoup.cli.options import (
-    Model,
-    WritesCommon,
-    arg,
-    check_number,
-)
+from scoup.cli.options import Model, WritesCommon, arg, check_number
 
 if TYPE_CHECKING:
     from scoup.archive import Archive

@@ -9,12 +9,7 @@ from typing import Annotated
 from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, arg
-from scoup.cli.query_options import (
-    FrameOptions,
-    TextOptions,
-    WordOptions,
-    output_folder,
-)
+from scoup.cli.query_options import FrameOptions, TextOptions, WordOptions, output_folder
 
 SHOWN = 12  # things printed; the files contain all
 

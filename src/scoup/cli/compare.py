@@ -11,12 +11,7 @@ import tyro
 from scoup.base import counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, arg
-from scoup.cli.query_options import (
-    FieldOptions,
-    TextOptions,
-    WordOptions,
-    output_folder,
-)
+from scoup.cli.query_options import FieldOptions, TextOptions, WordOptions, output_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +43,7 @@ class CompareCaptures:
     def run(self, console: Console) -> None:
         """Compare and write."""
         from scoup.io import read_similarity, read_words
-        from scoup.query import compare_captures
+        from scoup.query import compare, save_comparison
 
         opening, device = self.opening, self.common.device
         out = output_folder(self.out, self.new, "changes")
@@ -58,9 +53,9 @@ class CompareCaptures:
         new = new.with_encoder(old.encoder)
         words, overwrite = read_words(self.words.words), self.common.overwrite
         with console.progress() as progress:
-            comparison, files = compare_captures(
-                old, new, words, transform, out, overwrite=overwrite, progress=progress
-            )
+            comparison = compare(old, new, words, transform)
+            old.encoder.close()  # models are large
+            files = save_comparison(old, new, comparison, out, overwrite, progress)
         console.say(comparison.registration.describe())
         for change in comparison.changes:
             thing = change.new or change.old

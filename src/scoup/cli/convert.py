@@ -73,8 +73,10 @@ class Convert:
 
     def run(self, console: Console) -> None:
         """Convert and report."""
+        from scoup.io import is_splat_name
+
         suffix = self.source.suffix.lower()
-        if self._is_to_splat():
+        if is_splat_name(self.target, written=True):
             self._convert_splat(console)
         elif self.source.is_dir() or not self.source.exists():
             self._convert_regions(console)
@@ -87,11 +89,6 @@ class Convert:
                 "use a splat and the name of another, a folder of region features, features (.npy, .pt) or "
                 "LangSplat's checkpoint (.pth)",
             )
-
-    def _is_to_splat(self) -> bool:
-        from scoup.io import is_splat_name
-
-        return is_splat_name(self.target, written=True)
 
     def _convert_splat(self, console: Console) -> None:
         from scoup.base import check_output

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -22,7 +21,7 @@ from scoup.cli.query_options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.query import Answer, GaussianLabels, LanguageField
+    from scoup.query import GaussianLabels, LanguageField
     from scoup.scene import Camera
 
 Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "masks", "sheet"]
@@ -68,7 +67,7 @@ class Label:
 
     def run(self, console: Console) -> None:
         """Label and write."""
-        from scoup.query import Expression, GaussianLabels, LabelFiles
+        from scoup.query import Expression, LabelFiles
 
         words = self._words()
         out = output_folder(self.out, self.field, "labels")
@@ -81,12 +80,11 @@ class Label:
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         files = LabelFiles([*dict.fromkeys(map(field.encoder.word_of, words))], outputs, cameras)
         with staged(out, files.names, self.common.overwrite) as hidden, console.progress() as progress:
-            answers = field.answer(question)
-            labels = GaussianLabels.of(field, answers)
+            labels = field.label(question)
             blind = files.write(field, labels, hidden, self.opening.gaussians, progress)
             if cameras:
                 self.view.check_seen(self.field, blind, len(cameras))
-        _report(console, labels, answers, out, [name for name in files.names if (out / name).exists()])
+        _report(console, labels, out, [name for name in files.names if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
         """Return the words of the command line and of the list, each once."""
@@ -106,14 +104,11 @@ class Label:
         return self.view.open_cameras(field, self.field, "all")
 
 
-def _report(
-    console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
-) -> None:
+def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str]) -> None:
     from scoup.query import ExpressionAnswer
 
-    record, of_name = labels.to_dict(), {answer.word: answer for answer in answers}
-    for one in record["classes"]:
-        answer = of_name[one["name"]]
+    record = labels.to_dict()
+    for one, answer in zip(record["classes"], labels.answers, strict=True):
         seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
         seen = f", as seen from {seen_from}" if seen_from else ""
         things = f"{answer.counted()}, " if answer.things else ""

@@ -12,12 +12,7 @@ import tyro
 
 from scoup.base import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import (
-    DeviceCommon,
-    Model,
-    arg,
-    check_number,
-)
+from scoup.cli.options import DeviceCommon, Model, arg, check_number
 from scoup.cli.stop import end_soon, exit_code
 
 if TYPE_CHECKING:
@@ -30,10 +25,7 @@ class ServeAgents:
     relations, distances, views with marks, and export selections into one folder. A client starts this program, or
     several connect to it with --http; see docs/agents.md."""
 
-    fields: Annotated[
-        tyro.conf.Positional[tuple[Path, ...]],
-        arg(metavar="FIELD [FIELD ...]"),
-    ]
+    fields: Annotated[tyro.conf.Positional[tuple[Path, ...]], arg(metavar="FIELD [FIELD ...]")]
     """.scoup files; each is a scene, named as its file."""
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""

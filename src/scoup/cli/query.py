@@ -85,10 +85,12 @@ class Query:
     def run(self, console: Console) -> None:
         """Answer every text in every view asked for, and in the world."""
         from scoup.base import write_text
+        from scoup.pictures import check_video_writer
         from scoup.query import AnswerFiles
 
         check_texts(self.texts)
-        self._check_options()
+        if self.video != "none":
+            check_video_writer()
         out = self._out()
         check_output(out / RECORD, overwrite=self.common.overwrite)
         field = self.opening.open(self.field, self.common.device)
@@ -119,12 +121,6 @@ class Query:
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, as_json({"field": self.field, **result}))
         self._report(console, result, places)
-
-    def _check_options(self) -> None:
-        from scoup.pictures import check_video_writer
-
-        if self.video != "none":
-            check_video_writer()
 
     def _refine(self, console: Console, field: LanguageField) -> tuple[LanguageField, dict[str, Any] | None]:
         """Name things with a model, where one is given; return the field, and what was done as JSON values."""

@@ -7,19 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from scoup.base import (
-    InputError,
-    MissingFileError,
-    ScoupWarning,
-    UnknownNameError,
-    listed,
-    share_of,
-)
-from scoup.cli.options import (
-    Model,
-    Names,
-    arg,
-)
+from scoup.base import InputError, MissingFileError, ScoupWarning, UnknownNameError, listed, share_of
+from scoup.cli.options import Model, Names, arg
 
 if TYPE_CHECKING:
     from scoup.query import Expression, Frame, LanguageField, Question

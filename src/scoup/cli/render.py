@@ -55,7 +55,8 @@ class Render:
         kind = "" if self.out is None else self.out.suffix.lower()
         animation = kind in ANIMATIONS
         one_file = animation or kind == ".png"
-        self._check_options()
+        if (self.what == "relevancy") != (self.query is not None):
+            raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
         out = self.out if self.out and one_file else output_folder(self.out, self.field, self.what)
         field = self.opening.open(self.field, self.common.device)
         asked = None if self.query is None else self.opening.question(field, [self.query], always=True)
@@ -83,10 +84,6 @@ class Render:
                 save_frames(frames, hidden / out.name, FRAMES_PER_SECOND)
         console.say(f"{counted(len(cameras), 'view')} rendered to {out}")
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
-
-    def _check_options(self) -> None:
-        if (self.what == "relevancy") != (self.query is not None):
-            raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
 
     def _scaled(self, cameras: list[Camera]) -> list[Camera]:
         """Return the cameras at the size of --scale."""

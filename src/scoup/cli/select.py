@@ -9,21 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base import InputError, counted
 from scoup.cli.console import Console
-from scoup.cli.options import (
-    AllCommon,
-    FieldFile,
-    Names,
-    Texts,
-    arg,
-    check_number,
-)
-from scoup.cli.query_options import (
-    CameraOptions,
-    FrameOptions,
-    LevelOptions,
-    TextOptions,
-    check_texts,
-)
+from scoup.cli.options import AllCommon, FieldFile, Names, Texts, arg, check_number
+from scoup.cli.query_options import CameraOptions, FrameOptions, LevelOptions, TextOptions, check_texts
 
 if TYPE_CHECKING:
     from scoup.query import ExpressionAnswer, LanguageField, Place

@@ -33,12 +33,7 @@ OTHER_COLOR = (255, 205, 0)
 
 
 def heat_map(
-    relevancy: ArrayOrTensor,
-    rgb: ArrayOrTensor,
-    query: str,
-    level: str,
-    score: float | None,
-    view: str = "",
+    relevancy: ArrayOrTensor, rgb: ArrayOrTensor, query: str, level: str, score: float | None, view: str = ""
 ) -> Picture:
     """Draw a relevancy map over the greyed colour render, with a legend and a title: the query on the left; view, level
     and score, if there is one, on the right."""

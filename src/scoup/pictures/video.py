@@ -1,15 +1,17 @@
-"""Videos, written by ffmpeg through imageio-ffmpeg (extra ``scoup[video]``)."""
+"""Pictures one after the other in one file: animations, and videos by imageio-ffmpeg (extra ``scoup[video]``)."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from scoup.base import InputError, ScoupError, WriteError
-from scoup.pictures.animation import save_animation
+from scoup.base import InputError, ScoupError, WriteError, atomic_file
 from scoup.pictures.colors import Picture
+from scoup.pictures.lettering import PAPER
 
 QUALITY = 7  # of imageio-ffmpeg, 0 to 10
 HOW_TO_GET_IT = "videos need the package imageio-ffmpeg: pip install 'scoup[video]', and run again"
@@ -71,3 +73,23 @@ def save_video(frames: Iterable[Picture], path: Path, frames_per_second: float) 
             writer.close()
     if writer is None:
         raise InputError(f"{path}: there is no picture to make a video of")
+
+
+def save_animation(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
+    """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; lower
+    ones, with shorter titles, get a margin above."""
+    frames = [*frames]
+    height = max(frame.shape[0] for frame in frames)
+    margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
+    pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]
+    encoded = io.BytesIO()
+    pictures[0].save(
+        encoded,
+        format=path.suffix[1:].upper(),
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(1000 / frames_per_second),
+        loop=0,
+    )
+    with atomic_file(path, overwrite=True) as stream:
+        stream.write(encoded.getbuffer())

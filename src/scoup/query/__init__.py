@@ -8,27 +8,23 @@ from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_files import AnswerFiles
 from scoup.query.ask import answers_of, asked_things
 from scoup.query.boxes import OrientedBox
-from scoup.query.catalog import related_objects
-from scoup.query.catalog_writing import draw_things, save_catalog
-from scoup.query.compare_files import compare_captures
-from scoup.query.comparison import compare
+from scoup.query.catalog import draw_things, related_objects, save_catalog
+from scoup.query.comparison import compare, save_comparison
 from scoup.query.drawings import drawing, placed_atoms
 from scoup.query.edits import SceneEdit, SplatTable
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame
-from scoup.query.label_writing import LabelFiles
-from scoup.query.labels import GaussianLabels
+from scoup.query.labels import GaussianLabels, LabelFiles
 from scoup.query.language_field import LanguageField, build
 from scoup.query.phrase_data import phrase_data
-from scoup.query.place import Place
 from scoup.query.presence import Certainty
 from scoup.query.question import Question, TextVectors, warn_of_another_model
 from scoup.query.refinement import refine
 from scoup.query.select import Reshaping
 from scoup.query.thing_judge import AskedThings, ThingIndex
 from scoup.query.thing_names import named_things
-from scoup.query.things import Thing
+from scoup.query.things import Place, Thing
 from scoup.query.view_answer import ViewAnswer, mask_box
 from scoup.query.votes import level_thresholds, select_by_relevancy
 
@@ -58,7 +54,6 @@ __all__ = [
     "asked_things",
     "build",
     "compare",
-    "compare_captures",
     "draw_things",
     "drawing",
     "level_thresholds",
@@ -70,6 +65,7 @@ __all__ = [
     "refine",
     "related_objects",
     "save_catalog",
+    "save_comparison",
     "select_by_relevancy",
     "warn_of_another_model",
 ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
-from scoup.base import card, listed
+from scoup.base import listed
 from scoup.field import Field
 from scoup.query.expression import Expression
 from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty, said_score
@@ -67,9 +67,6 @@ class Answer:
             f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, {self.remark()}"
         )
         return f"Answer({self.text!r}: {facts if self.presence else self.remark()})"
-
-    def _repr_html_(self) -> str:
-        return card(f"{self.text!r} in the scene", {**self.to_dict(), "of": f"{len(self.mask):,} Gaussians"})
 
     @property
     def heats(self) -> tuple[AskedText, ...]:

@@ -20,7 +20,7 @@ from scoup.io import save_png
 from scoup.pictures import Picture, answer_overlay, as_picture, contact_sheet, heat_legend, save_frames
 from scoup.query.coco import CocoAnnotations
 from scoup.query.drawings import Motion, heat_frames
-from scoup.query.place import Place
+from scoup.query.things import Place
 from scoup.query.view_answer import ViewAnswer
 from scoup.scene import Camera, Cameras
 

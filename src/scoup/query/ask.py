@@ -83,15 +83,8 @@ class _Selected:
 def evaluated(
     field: Field, question: Question[Any], said: str, tree: Expression, answers: Mapping[str, Answer]
 ) -> ExpressionAnswer:
-    """Return the answer to an expression from the answers to its texts: leaves become things, operators join them.
-
-    Args:
-        field: that was asked.
-        question: of the texts.
-        said: the expression as it was asked.
-        tree: the expression.
-        answers: by their texts.
-    """
+    """Return the answer to an expression, asked as ``said``, from the answers to its texts: leaves become things,
+    operators join them."""
     frame = (question.frame or scene_frame(field)) if tree.phrases else None
     parts = [answers[text] for text in tree.texts]
     ranked = sorted(

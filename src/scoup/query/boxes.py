@@ -120,12 +120,9 @@ class PointSets:
         return self.quantiles([(1 - constants.SPAN) / 2, (1 + constants.SPAN) / 2])
 
     def boxes(self, up: Tensor) -> list[OrientedBox | None]:
-        """Return the upright box around each thing; None without Gaussians.
+        """Return the box around each thing that is upright by a unit vector [3]; None without Gaussians.
 
         The horizontal axes are the principal ones, or others between them if the box is clearly smaller along these.
-
-        Args:
-            up: [3] unit vector.
         """
         if not len(self.means):
             return [None] * len(self)

@@ -5,41 +5,58 @@ but with its Gaussians: it is still there if its own lie on Gaussians whose thin
 there are one object if they lie in the box of the largest of them. It has gone only if cameras of the other capture
 look through its place, or at something else in it. An object gone from one place and a new one elsewhere that look
 alike, one to one, are one that moved. Ours; measured in docs/many_scenes.md.
+
+The files of a comparison are JSON, pictures from before and after, and a page.
 """
 
 from __future__ import annotations
 
+import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 
-from scoup.base import InputError, ScoupWarning, WorldFrame, rounded_vector
-from scoup.field import NO_THING, Field
-from scoup.query import constants
-from scoup.query.language_field import LanguageField
-from scoup.query.registration import (
-    Array,
-    Capture,
-    Registration,
-    centred,
-    moved_points,
-    register,
-    scale_of,
+from scoup.base import (
+    InputError,
+    Progress,
+    ScoupWarning,
+    WorldFrame,
+    counted,
+    no_progress,
+    rounded_vector,
+    staged,
+    write_text,
 )
+from scoup.field import NO_THING, Field
+from scoup.pictures import Picture, as_picture
+from scoup.query import constants
+from scoup.query.catalog import PAGE, PICTURES, Card, cards_page, crop_window, cropped, viewing_cameras
+from scoup.query.field_view import FieldView
+from scoup.query.language_field import LanguageField
+from scoup.query.registration import Array, Capture, Registration, centred, moved_points, register, scale_of
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.query.view_answer import render_depth
+from scoup.scene import Camera
 
 SCHEMA = "scoup comparison"
 
 Kind = Literal["added", "removed", "moved", "unseen"]
 KINDS: tuple[Kind, ...] = ("added", "removed", "moved", "unseen")
+RECORD = "compare.json"
+SIDES = ("old", "new")
+TITLES: dict[str, str] = {
+    **{kind: kind.capitalize() for kind in KINDS},
+    "unseen": "In one capture only, at a place that the other did not see",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +115,7 @@ class Comparison:
 
 
 def compare(
-    old: LanguageField,
-    new: LanguageField,
-    words: Sequence[str],
-    transform: Array | None = None,
+    old: LanguageField, new: LanguageField, words: Sequence[str], transform: Array | None = None
 ) -> Comparison:
     """Return the objects that were added, removed or moved between two captures of one place.
 
@@ -283,3 +297,74 @@ def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) 
     paired = [{pair[side] for pair in pairs} for side in (0, 1)]
     changes += [missing.change("removed") for index, missing in enumerate(gone) if index not in paired[0]]
     return changes + [missing.change("added") for index, missing in enumerate(come) if index not in paired[1]]
+
+
+def save_comparison(
+    old: Field,
+    new: Field,
+    comparison: Comparison,
+    folder: Path,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures."""
+    files = [RECORD, PAGE]
+    with staged(folder, files, overwrite) as hidden:
+        record = json.dumps(comparison.to_dict(), indent=1, allow_nan=False)
+        write_text(hidden / RECORD, record + "\n")
+        (hidden / PICTURES).mkdir()
+        cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
+        for number, change in enumerate(comparison.changes):
+            progress("pictures", number, len(comparison.changes))
+            names = {}
+            for side, picture in _pictures(old, new, change, comparison):
+                names[side] = f"{PICTURES}/{number:04d}_{side}.jpg"
+                Image.fromarray(picture).save(hidden / names[side], quality=85)
+            cards[change.kind].append(_card(change, names, comparison))
+        progress("pictures", len(comparison.changes), len(comparison.changes))
+        heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
+        count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
+        sections = {f"{title} ({len(cards[kind])})": cards[kind] for kind, title in TITLES.items()}
+        count = f"{count}; {comparison.registration.describe()}"
+        content = cards_page(f"Changes between {heading}", count, sections, pairs=True)
+        write_text(hidden / PAGE, content)
+    return files
+
+
+def _card(change: Change, pictures: Mapping[str, str], comparison: Comparison) -> Card:
+    sides = zip(SIDES, (change.old, change.new), strict=True)
+    there = [(side, thing) for side, thing in sides if thing is not None]
+    _, thing = there[-1]
+    facts = (
+        f"{comparison.describe(change)}, confidence {change.confidence:.2f}",
+        thing.world.lengths(thing.box.extent.tolist()),
+        ", ".join(f"thing {thing.number} of the {side} capture" for side, thing in there),
+    )
+    return Card(thing, facts, dict(sorted(pictures.items(), reverse=True)))
+
+
+def _pictures(
+    old: Field, new: Field, change: Change, comparison: Comparison
+) -> Iterator[tuple[str, Picture]]:
+    """Yield the object before and after; where it is not there, its place from the same camera."""
+    transform = comparison.registration.transform
+    sides = (old, change.old, new, np.linalg.inv(transform)), (new, change.new, old, transform)
+    for index, (field, thing, other, to_other) in enumerate(sides):
+        if thing is None:
+            continue
+        for camera in viewing_cameras(thing, list(field.cameras or ())):
+            view = FieldView(field, camera)
+            mask = view.mask_of(thing.gaussians)
+            window = crop_window(mask)
+            if window is None:
+                continue
+            yield SIDES[index], cropped(as_picture(view.renders.colors().cpu()), window, mask)
+            if change.kind != "moved":
+                again = FieldView(other, _moved_camera(camera, to_other))
+                yield SIDES[1 - index], cropped(as_picture(again.renders.colors().cpu()), window)
+            break
+
+
+def _moved_camera(camera: Camera, transform: Array) -> Camera:
+    scale = scale_of(transform)
+    return camera.moved(transform[:3, :3] / scale, transform[:3, 3] / scale, scale)

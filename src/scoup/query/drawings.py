@@ -1,18 +1,19 @@
-"""Pictures of fields: functions that draw a view, frames of videos, and the card of a notebook."""
+"""Pictures of fields: functions that draw a view, cameras and frames of videos, and the card of a notebook."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import PREVIEW, InputError, card, listed
+from scoup.base import PREVIEW, InputError, card, listed, spread
 from scoup.field import Field
 from scoup.pictures import (
     Picture,
@@ -27,9 +28,8 @@ from scoup.pictures import (
 from scoup.query.ask import answers_of
 from scoup.query.edits import best_camera
 from scoup.query.field_view import FieldView
-from scoup.query.paths import camera_path, turntable
-from scoup.query.place import Place
 from scoup.query.question import Question
+from scoup.query.things import Place
 from scoup.scene import Camera, Cameras, SparseCodes, estimate_up
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
@@ -41,6 +41,7 @@ LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
 Draw: TypeAlias = Callable[[FieldView], Picture]
 Motion = Literal["path", "turntable"]
+MOST_STOPS = 40  # cameras that a path leads through
 SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
@@ -52,29 +53,17 @@ def drawing(
     plain: bool = False,
 ) -> Draw:
     """Return a function that draws a view: the splat, the codes of a level (by default the middle one), or the
-    relevancy to a question's first text; ``plain``, here and below: without title and legend."""
+    relevancy to a question's first text, at the level of its mask; ``plain``, here and below: without title and
+    legend."""
     if what == "codes":
         return code_drawing(field, len(field.levels) // 2 if level is None else level, plain)
-    return color_drawing(plain) if question is None else relevancy_drawing(field, question, plain)
-
-
-def color_drawing(plain: bool = False) -> Draw:
-    """Return a function that draws the splat."""
+    answers = None if question is None else answers_of(field, question)
 
     def draw(view: FieldView) -> Picture:
-        picture = as_picture(view.renders.colors())
-        return picture if plain else captioned(picture, "colour", view.camera.name)
-
-    return draw
-
-
-def relevancy_drawing(field: Field, question: Question, plain: bool = False) -> Draw:
-    """Return a function that draws the relevancy to a question's first text as a heat map, at the level of its mask."""
-    answers = answers_of(field, question)
-
-    def draw(view: FieldView) -> Picture:
-        seen = view.show(answers)[0]
         rgb = view.renders.colors().cpu()
+        if answers is None:
+            return as_picture(rgb) if plain else captioned(as_picture(rgb), "colour", view.camera.name)
+        seen = view.show(answers)[0]
         if plain:
             return heat_overlay(seen.heat, rgb)
         return heat_map(seen.heat, rgb, seen.text, seen.level, float(seen.heat.max()), view.camera.name)
@@ -163,6 +152,61 @@ def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion,
         up,
     )
     return turntable(closer, place.position, up, count)
+
+
+def camera_path(cameras: Cameras, count: int) -> Cameras:
+    """Return ``count`` cameras on a smooth path through those of a scene (of more than ``MOST_STOPS`` so many, evenly
+    spread), in the order of their names, with the lens of the first."""
+    from scipy.interpolate import PchipInterpolator
+    from scipy.spatial.transform import Rotation, Slerp
+
+    if not len(cameras) or count < 1:
+        raise InputError(f"a path of {count} cameras through {len(cameras)} is not possible")
+    stops = spread(list(cameras), MOST_STOPS)
+    first = stops[0]
+    if len(stops) == 1:
+        return Cameras(replace(first, name=_frame_name(number), image_path=None) for number in range(count))
+    places = np.stack([camera.position.numpy() for camera in stops])
+    turns = Rotation.from_matrix(np.stack([camera.viewmat[:3, :3].numpy().T for camera in stops]))
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    # Times follow distances, so that the speed is even; a camera that only turns takes its time, too.
+    times = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 0.2 * (steps.mean() or 1.0)))])
+    moments = np.linspace(0, times[-1], count)
+    between, turned = PchipInterpolator(times, places)(moments), Slerp(times, turns)(moments).as_matrix()
+    poses = np.concatenate([turned, between[:, :, None]], axis=2)
+    size = (first.width, first.height)
+    return Cameras(
+        Camera.from_c2w(_frame_name(number), pose, first.K, *size) for number, pose in enumerate(poses)
+    )
+
+
+def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike, count: int) -> Cameras:
+    """Return ``count`` cameras, evenly on a circle around a point [3] and a direction ``up`` [3], which all look at it,
+    with the lens and distance of one; they begin there."""
+    from scipy.spatial.transform import Rotation
+
+    point, axis = (torch.as_tensor(vector, dtype=torch.float64).numpy() for vector in (centre, up))
+    arm = camera.position.numpy() - point
+    length = np.linalg.norm(axis)
+    if (
+        count < 1
+        or not length > 0
+        or not np.linalg.norm(np.cross(arm, axis)) > 1e-6 * np.linalg.norm(arm) * length
+    ):
+        raise InputError(
+            f"{count} cameras cannot turn around {point.tolist()} from {camera.position.tolist()}"
+        )
+    angles = np.arange(count) * (2 * math.pi / count)
+    arms = Rotation.from_rotvec(angles[:, None] * (axis / length)).apply(arm)
+    size = (camera.width, camera.height)
+    return Cameras(
+        Camera.look_at(point + arm, point, _frame_name(number), *size, camera.fy, axis)
+        for number, arm in enumerate(arms)
+    )
+
+
+def _frame_name(number: int) -> str:
+    return f"frame_{number:05d}.png"
 
 
 def heat_frames(

@@ -64,22 +64,6 @@ def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
     return (rgb.new_tensor(color) * share).clamp(0, 1)
 
 
-def edit_picture(
-    field: Field, after: Gaussians, mask: Tensor, cameras: Sequence[Camera], title: str
-) -> Picture:
-    """Draw before, selection [N] boolean and after beside each other in the ``best_camera``, [H, W, 3] uint8."""
-    camera = best_camera(field, mask, cameras)
-    view = FieldView(field, camera)
-    before = view.renders.colors().cpu()
-    inside = view.shares(mask)[0].cpu() > COVERED
-    later = torch.zeros(camera.height, camera.width, 3)
-    if len(after):
-        later = raster.render_colors(after, camera, raster.project(after, camera, field.raster_preset)).cpu()
-    tiles = [as_picture(before), mask_overlay(inside, before), as_picture(later)]
-    heading = f"{title}: {int(mask.sum()):,} of {counted(len(mask), 'Gaussian')}"
-    return contact_sheet(tiles, ("before", "selected", "after"), 3, 1500, heading)
-
-
 def best_camera(field: Field, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
     """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread."""
     if not cameras:
@@ -109,8 +93,18 @@ class SceneEdit:
         return edited(self.field.gaussians, self.mask, self.edit, self.color, self.opacity)
 
     def picture(self, cameras: Sequence[Camera], title: str) -> Picture:
-        """Draw before, selection and after (``edit_picture``)."""
-        return edit_picture(self.field, self.left, self.mask, cameras, title)
+        """Draw before, selection and after beside each other in the ``best_camera``, [H, W, 3] uint8."""
+        after, preset = self.left, self.field.raster_preset
+        camera = best_camera(self.field, self.mask, cameras)
+        view = FieldView(self.field, camera)
+        before = view.renders.colors().cpu()
+        inside = view.shares(self.mask)[0].cpu() > COVERED
+        later = torch.zeros(camera.height, camera.width, 3)
+        if len(after):
+            later = raster.render_colors(after, camera, raster.project(after, camera, preset)).cpu()
+        tiles = [as_picture(before), mask_overlay(inside, before), as_picture(later)]
+        heading = f"{title}: {int(self.mask.sum()):,} of {counted(len(self.mask), 'Gaussian')}"
+        return contact_sheet(tiles, ("before", "selected", "after"), 3, 1500, heading)
 
     def save(self, path: Path, splat: Path | None = None, overwrite: bool = False) -> int:
         """Write what is left, a splat or a field (.scoup); return its number of Gaussians. ``copies_rows`` is of the
@@ -119,7 +113,7 @@ class SceneEdit:
         if self.copies_rows(path):
             rows = SplatTable.of(self.field, splat)
             if self.edit == "state":
-                table = rows.with_state(self.mask)
+                table = rows.with_column(STATE, self.mask.byte())
             else:
                 table = rows.edited(self.mask, left) if mask is None else rows.select(mask)
             table.write(path, overwrite)
@@ -176,10 +170,6 @@ class SplatTable:
             if name == "opacity" or name.startswith(("f_dc_", "f_rest_")):
                 changed[name][rows] = values.rows[name]
         return replace(self.table, rows=changed)
-
-    def with_state(self, selected: Tensor) -> PlyTable:
-        """Return all rows, with the Gaussians ``selected`` [N] marked as SuperSplat marks a selection."""
-        return self.with_column(STATE, selected.byte())
 
     def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
         """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""

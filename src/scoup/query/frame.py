@@ -54,12 +54,7 @@ class Frame:
 
 
 def scene_frame(field: Field, camera: Camera | str | int | None = None) -> Frame:
-    """Return the directions that relations mean; ``LanguageField.frame`` documents it.
-
-    Args:
-        field: that is asked.
-        camera: from which left, right, front and back are meant; by default the field's camera that sees the most.
-    """
+    """Return the directions that relations mean; ``LanguageField.frame`` documents it."""
     if camera is None:
         return field.kept((Frame, field.cameras), lambda: _made_frame(field, None))
     return _made_frame(field, camera)

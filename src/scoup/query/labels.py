@@ -1,20 +1,41 @@
-"""The word of several that fits each Gaussian best, in the scene and in views."""
+"""The word of several that fits each Gaussian best: in the scene, in views, and as files for other programs
+(docs/editing.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from scoup import raster
-from scoup.base import InputError, UnknownNameError, card
+from scoup.base import (
+    InputError,
+    Progress,
+    UnknownNameError,
+    as_json,
+    atomic_file,
+    no_progress,
+    spread,
+    unique_slugs,
+    write_text,
+)
 from scoup.field import NO_THING, Field
-from scoup.pictures import Picture, contact_sheet, label_colors, swatch_legend
+from scoup.io import PlyTable, UsdThing, save_png, write_usd
+from scoup.pictures import Picture, contact_sheet, label_colors, region_overlay, swatch_legend
 from scoup.query.answer import Answer
+from scoup.query.answer_files import mask_files
+from scoup.query.boxes import PointSets
+from scoup.query.coco import CocoAnnotations
+from scoup.query.edits import SplatTable, edited
 from scoup.query.field_view import FieldView
+from scoup.query.votes import true_rows
+from scoup.scene import SH_C0, Camera, Gaussians
 
 NONE = -1
 """The id of a Gaussian that no word fits."""
@@ -23,6 +44,11 @@ AT_A_TIME = 16  # words rendered together
 LEAST_ALPHA = 0.5  # of a pixel with a label
 COLUMNS, SHEET_WIDTH = 3, 1500
 MOST_VIEWS = 6  # on a sheet
+SIDECAR = ("labels.npy", "labels.json")
+IDS, COLORS, GLB, USD = "labels.ply", "colored.ply", "labels.glb", "labels.usdc"
+CLOUDS, MAPS, COCO, SHEET = "clouds", "maps", "maps/coco.json", "labels.png"
+PROPERTY, INSTANCE = "label", "thing"
+GREY = 0.35  # of Gaussians without a word
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,17 +64,8 @@ class GaussianLabels:
 
     ids: Tensor
     """[N] int32, the position of a word in ``names``; -1 for none of them."""
-    names: tuple[str, ...]
-    """Q words."""
-    scores: tuple[float | None, ...]
-    """Per word, as of ``Answer``; None with too few everyday words."""
-    presence: tuple[bool, ...]
-    """Per word, whether the thing is in the scene; true if that was not judged."""
-    levels: tuple[str, ...]
-    """Per word, the name of the level that answers it."""
-    things: tuple[tuple[int, ...], ...]
-    """Per word, the numbers of the things that answer it (``field.things`` describes them); empty where the votes
-    answer, and for what is not there."""
+    answers: tuple[Answer, ...]
+    """The answer to each of Q words."""
     instances: Tensor
     """[N] int32, which of these things it belongs to; -1 without a word, and where the votes answer."""
 
@@ -64,9 +81,9 @@ class GaussianLabels:
         of_name: dict[str, Answer] = {}
         for answer in answers:
             of_name.setdefault(answer.word, answer)
-        names, answers = tuple(of_name), [*of_name.values()]
-        if NONE_NAME in names:
-            raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")
+        answers = [*of_name.values()]
+        if NONE_NAME in of_name:
+            raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(of_name)})")
         ids = labels_of_answers(answers, field.levels)
         instances = torch.full_like(ids, NO_THING)
         for number, answer in enumerate(answers):
@@ -76,22 +93,16 @@ class GaussianLabels:
                 instances = torch.where(
                     ids == number, torch.where(inside, owners, NO_THING).amax(1), instances
                 )
-        return cls(
-            ids,
-            names,
-            tuple(answer.score for answer in answers),
-            tuple(answer.presence for answer in answers),
-            tuple(answer.level for answer in answers),
-            tuple(answer.things for answer in answers),
-            instances,
-        )
+        return cls(ids, tuple(answers), instances)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The Q words."""
+        return tuple(answer.word for answer in self.answers)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
         return f"GaussianLabels({len(self.ids):,} Gaussians; {counts})"
-
-    def _repr_html_(self) -> str:
-        return card(f"Labels of {len(self.ids):,} Gaussians", self.counts())
 
     def mask(self, name: str) -> Tensor:
         """Return the Gaussians of a word, or of "none", [N] boolean.
@@ -116,15 +127,12 @@ class GaussianLabels:
         classes = [
             {
                 "id": number,
-                "name": name,
+                "name": answer.word,
                 "color": colors[number],
-                "gaussians": counts[name],
-                "level": self.levels[number],
-                "things": list(self.things[number]),
-                "present": self.presence[number],
-                "score": None if self.scores[number] is None else round(self.scores[number] or 0.0, 4),
+                "gaussians": counts[answer.word],
+                **{name: answer.to_dict()[name] for name in ("level", "things", "present", "score")},
             }
-            for number, name in enumerate(self.names)
+            for number, answer in enumerate(self.answers)
         ]
         none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
         return {"gaussians": len(self.ids), "classes": classes, "none": none}
@@ -173,3 +181,159 @@ def label_sheet(labels: GaussianLabels, views: Mapping[str, Picture]) -> Picture
         [tuple(colors[number].tolist()) for number, _ in used],
         [name for _, name in used],
     )
+
+
+class LabelFiles:
+    """The files of labels, for other programs.
+
+    Args:
+        words: of the labels, each once.
+        outputs: the wanted of "sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "masks" and "sheet".
+        cameras: of "maps" and "sheet"; a sheet alone takes some of them.
+    """
+
+    def __init__(self, words: Sequence[str], outputs: Sequence[str], cameras: Sequence[Camera] = ()) -> None:
+        names = [*words, NONE_NAME]
+        self._clouds = {
+            name: f"{CLOUDS}/{slug}.ply" for name, slug in zip(names, unique_slugs(names), strict=True)
+        }
+        self._masks = mask_files(cameras)
+        self._maps = [f"{MAPS}/{slug}.png" for slug in unique_slugs(camera.stem for camera in cameras)]
+        self._outputs, self._cameras = outputs, cameras
+        of = {
+            "sidecar": list(SIDECAR),
+            "ids": [IDS],
+            "colors": [COLORS],
+            "glb": [GLB],
+            "usd": [USD],
+            "clouds": [*self._clouds.values()],
+            "maps": [COCO, *self._maps],
+            "masks": self._masks,
+            "sheet": [SHEET],
+        }
+        # Of all files, within their folder.
+        self.names = [name for output in outputs for name in of[output]]
+
+    def write(
+        self,
+        field: Field,
+        labels: GaussianLabels,
+        folder: Path,
+        geometry: Path | None = None,
+        progress: Progress = no_progress,
+    ) -> list[Camera]:
+        """Write the files into an empty folder; return the cameras that see no coded Gaussian.
+
+        Args:
+            field: that was labelled, with its geometry.
+            labels: of its Gaussians.
+            folder: created if missing.
+            geometry: file of the splat; by default the one the field names.
+            progress: called after each view.
+        """
+        gaussians, outputs = field.gaussians.to("cpu"), self._outputs
+        folder.mkdir(parents=True, exist_ok=True)
+        if "sidecar" in outputs:
+            with atomic_file(folder / SIDECAR[0]) as stream:
+                np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
+            record = labels.to_dict() | {"frame": field.world.to_dict()}
+            write_text(folder / SIDECAR[1], as_json(record) + "\n")
+        if "ids" in outputs:
+            rows = SplatTable.of(field, geometry)
+            for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
+                rows = replace(rows, table=rows.with_column(name, numbers, NONE))
+            rows.table.write(folder / IDS)
+        if "colors" in outputs:
+            PlyTable.of(labelled_colors(gaussians, labels)).write(folder / COLORS)
+        if "glb" in outputs:
+            from scoup.io import write_gltf
+
+            write_gltf(gaussians, folder / GLB, ids=labels.ids, names=labels.names)
+        if "usd" in outputs:
+            write_usd(gaussians, folder / USD, things=usd_things(field, labels))
+        for name, file in self._clouds.items() if "clouds" in outputs else ():
+            point_cloud(gaussians.select(labels.mask(name))).write(folder / file)
+        return self._write_views(field, labels, folder, progress)
+
+    def _write_views(
+        self, field: Field, labels: GaussianLabels, folder: Path, progress: Progress
+    ) -> list[Camera]:
+        binary = "masks" in self._outputs
+        maps, colors, cameras = "maps" in self._outputs, label_colors(len(labels.names)), self._cameras
+        on_sheet = set(spread(range(len(cameras)), MOST_VIEWS)) if "sheet" in self._outputs else set()
+        wanted = [number for number in range(len(cameras)) if maps or binary or number in on_sheet]
+        coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
+        for done, number in enumerate(wanted, start=1):
+            camera = cameras[number]
+            view = FieldView(field, camera)
+            if not view.is_visible():
+                blind.append(camera)
+            words = label_map(view, labels)
+            if maps:
+                save_label_png(words, colors, folder / self._maps[number])
+                masks = [(words == word).numpy() for word in range(len(labels.names))]
+                coco.add(camera.name, (camera.width, camera.height), masks)
+            if binary:
+                save_png(words.cpu() >= 0, folder / self._masks[number])
+            if number in on_sheet:
+                sheet[camera.name] = region_overlay(words, view.renders.colors().cpu())
+            progress("label maps", done, len(wanted))
+        if maps:
+            coco.write(folder / COCO)
+        if on_sheet:
+            save_png(label_sheet(labels, sheet), folder / SHEET)
+        return blind
+
+
+def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:
+    """Return the things of each word with their boxes; its Gaussians of none are one more, numbered beyond all."""
+    beyond = 0 if field.thing_table is None else len(field.thing_table)
+    pairs = torch.stack([labels.ids, labels.instances], 1)
+    groups = pairs[labels.ids != NONE].unique(dim=0)
+    members = [(pairs == group).all(1) for group in groups]
+    points = PointSets.of(field.gaussians, [true_rows(mask) for mask in members])
+    return [
+        UsdThing(labels.names[word], beyond + word if thing < 0 else thing, mask, **vars(box))
+        for (word, thing), mask, box in zip(groups.tolist(), members, points.boxes(field.up()), strict=True)
+        if box is not None
+    ]
+
+
+def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
+    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
+
+    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
+    picture of 16 bits.
+    """
+    array = numbers.cpu().numpy() if isinstance(numbers, Tensor) else np.asarray(numbers)
+    count = len(colors)
+    if array.ndim != 2 or not array.size or array.min() < -1 or array.max() >= count or count > 65535:
+        raise InputError(f"{path}: a map of numbers is [H, W], each -1 to {count - 1}")
+    if count > 255:
+        picture = Image.fromarray((array + 1).astype(np.uint16))
+    else:
+        picture = Image.fromarray((array + 1).astype(np.uint8))
+        picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
+    with atomic_file(path) as stream:
+        picture.save(stream, format="PNG")
+
+
+def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
+    """Return the Gaussians in the colours of their words, grey without a word, with their own light and shade."""
+    colors = torch.from_numpy(label_colors(len(labels.names)).copy()).double() / 255
+    colored = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
+    for number, color in enumerate(colors.tolist()):
+        colored = edited(colored, labels.ids == number, "recolor", (color[0], color[1], color[2]))
+    return colored
+
+
+def point_cloud(gaussians: Gaussians) -> PlyTable:
+    """Return centres and colours of Gaussians as vertices of a PLY, for programs that only read point clouds."""
+    kinds = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
+    rows = np.zeros(len(gaussians), dtype=kinds)
+    rgb = (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1).mul(255).round().byte().numpy()
+    for column, name in enumerate("xyz"):
+        rows[name] = gaussians.means[:, column].numpy()
+    for column, name in enumerate(("red", "green", "blue")):
+        rows[name] = rgb[:, column]
+    return PlyTable(Path("<memory>"), rows)

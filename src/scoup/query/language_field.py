@@ -20,7 +20,6 @@ from scoup.query.expression import Expression
 from scoup.query.field_view import FieldView
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.labels import GaussianLabels
-from scoup.query.place import Place, place_of
 from scoup.query.question import (
     Question,
     Several,
@@ -32,7 +31,7 @@ from scoup.query.question import (
 )
 from scoup.query.relations import relations
 from scoup.query.select import Reshaping, select
-from scoup.query.things import Thing, all_things
+from scoup.query.things import Place, Thing, all_things, place_of
 from scoup.query.view_answer import ViewAnswer
 from scoup.scene import Camera, Gaussians
 from scoup.uplift import build as uplift_build
@@ -71,10 +70,7 @@ class LanguageField(Field):
 
     @classmethod
     def load(
-        cls,
-        path: str | Path,
-        gaussians: Gaussians | None = None,
-        words: Encoder | None = None,
+        cls, path: str | Path, gaussians: Gaussians | None = None, words: Encoder | None = None
     ) -> LanguageField:
         """Read a ``.scoup`` file.
 

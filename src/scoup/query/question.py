@@ -247,19 +247,10 @@ def _near_names(field: Field, encoder: TextEncoder, vectors: TextVectors) -> tup
 
 
 def near_names(
-    names: NameTable,
-    encoder: TextEncoder,
-    vectors: TextVectors,
-    encode: Callable[[tuple[str, ...]], Tensor],
+    names: NameTable, encoder: TextEncoder, vectors: TextVectors, encode: Callable[[tuple[str, ...]], Tensor]
 ) -> tuple[str | None, ...]:
-    """Return for each text the name of things that is nearly the same; () if all texts are names.
-
-    Args:
-        names: of the things of a scene.
-        encoder: of texts.
-        vectors: of the texts.
-        encode: ``encoder.encode`` with a cache.
-    """
+    """Return for each text the name of things that is nearly the same; () if all texts are names. ``encode`` is that of
+    the encoder, with a cache."""
     if all(names.number(text) is not None for text in vectors.texts):
         return ()
     known = tuple(text for row in names.rows.unique() if (text := names.texts[row]) in encoder)
@@ -305,12 +296,7 @@ def encode_texts(encoder: TextEncoder, texts: Sequence[str], parsed: bool = True
     """Encode texts to query fields with, the canonical phrases, and everyday words.
 
     Args:
-        encoder: of the model whose embeddings the fields contain.
-        texts: Q phrases.
         parsed: whether texts with relations and orders could have been asked in their place; for the error.
-
-    Raises:
-        UnknownNameError: the table lacks a text.
 
     Warns:
         ScoupWarning: the table lacks the canonical phrases.

@@ -20,6 +20,7 @@ from scoup.base import InputError, check_arguments
 from scoup.field import Field
 from scoup.io import attach_images, load_image
 from scoup.models import ConceptModel, open_concepts
+from scoup.pictures import as_picture
 from scoup.query import constants
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
@@ -97,7 +98,8 @@ def refine(
     for camera in choose_views(field, words, cameras):
         image = _photograph(camera)
         rendered += image is None
-        views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
+        shown = as_picture(FieldView(field, camera).renders.colors()) if image is None else image
+        views.append((camera, model.detect(shown, words)))
     looked_at = tuple(camera.name for camera, _ in views)
     return Refined(name_field(field, words, views), words, looked_at, rendered, time.perf_counter() - started)
 
@@ -164,8 +166,3 @@ def _photograph(camera: Camera) -> NDArray[np.uint8] | None:
     if camera.image_path is None or not camera.image_path.is_file():
         return None
     return load_image(camera).numpy()
-
-
-def _render(field: Field, camera: Camera) -> NDArray[np.uint8]:
-    colors = FieldView(field, camera).renders.colors().cpu()
-    return (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

@@ -115,15 +115,10 @@ def centred(embeddings: Array, centre: Array) -> Array:
 
 
 def register(old: Capture, new: Capture, centre: Array, transform: Array | None = None) -> Registration:
-    """Return the registration of two captures under a transform, or under the one that their things give.
+    """Return the registration of two captures under a transform [4, 4], or under the one that their things give;
+    ``centre`` [D] is the mean embedding of these.
 
-    Args:
-        old, new: of one place.
-        centre: [D] mean embedding of their things.
-        transform: [4, 4] from the frame of ``new`` to that of ``old``.
-
-    Returns:
-        The identity if it fits the Gaussians as well as the transform found. The same captures give the same bits.
+    It is the identity if that fits the Gaussians as well as the transform found. The same captures give the same bits.
     """
     pairs = _Pairs.of(old, new, centre)
     if transform is not None:

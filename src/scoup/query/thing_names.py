@@ -46,12 +46,7 @@ def broader_words() -> dict[str, frozenset[str]]:
 
 def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     """Return the names of the things that have one, or whose nearest word's answer contains them, by their numbers;
-    those that a detector gave come first.
-
-    Args:
-        field: with or without things.
-        question: of the words that may be names; a word counts as a name only where it is present.
-    """
+    those that a detector gave come first. A word of the question counts as a name only where it is present."""
     return field.kept((thing_names, question), lambda: _made_names(field, question))
 
 
@@ -123,13 +118,9 @@ def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
 
 
 def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
-    """Return the named things that are one object each.
+    """Return the named things that are one object each, among all with their names as ``text``.
 
     A thing without a parent at the next level is a part of one at a coarser level that has half of its Gaussians.
-
-    Args:
-        field: of the things.
-        things: all, with their names as ``text``.
     """
     table = field.thing_table
     if table is None:

@@ -108,12 +108,8 @@ def _most_stable(values: Tensor, coded: Tensor) -> Selection:
 
 
 class SampledVotes:
-    """An even sample of a field's Gaussians, to compare texts and everyday words by the Gaussians they select.
-
-    Args:
-        field: without things, or asked by a threshold.
-        question: its everyday words and canonical phrases are taken.
-    """
+    """An even sample of a field's Gaussians, to compare texts and a question's everyday words by the Gaussians they
+    select."""
 
     def __init__(self, field: Field, question: Question) -> None:
         rows = true_rows(field.coded())

@@ -58,7 +58,7 @@ class Guard:
     def refuses(self, method: str, host: str | None, origin: str | None, site: str | None) -> str | None:
         """Return why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""
         name = urlsplit(f"//{host}").hostname if host and _is_host(host) else None
-        if name is None or not (name in self.names or (not is_loopback(self.host) and _is_address(name))):
+        if name is None or not (name in self.names or (not is_loopback(self.host) and _address(name))):
             return "this name of the server is not known; open the address that scoup view printed"
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "requests from other sites are refused"
@@ -69,18 +69,15 @@ class Guard:
 
 def is_loopback(host: str) -> bool:
     """Return whether only this machine reaches a host."""
-    try:
-        return host.lower() == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    address = _address(host)
+    return host.lower() == "localhost" or (address is not None and address.is_loopback)
 
 
-def _is_address(name: str) -> bool:
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address(name)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _is_host(text: str) -> bool:

@@ -19,12 +19,7 @@ _STEPS_8 = 2**8 - 1
 def packed(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any], effort: int = 6) -> bytes:
     """Return a gzipped safetensors file; ``metadata`` becomes JSON under the key "scoup".
 
-    Equal input gives equal bytes.
-
-    Args:
-        tensors: by name.
-        metadata: plain JSON values.
-        effort: 1, fast, to 9, small.
+    Equal input gives equal bytes. ``effort`` is 1, fast, to 9, small.
     """
     contiguous = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
     plain = save(contiguous, {"scoup": json.dumps(metadata, ensure_ascii=False, separators=(",", ":"))})

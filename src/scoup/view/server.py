@@ -34,14 +34,7 @@ _MOST_PACKED = 64 << 20  # bytes of the cache: parts of a million Gaussians are 
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
-    """Return the server of one field.
-
-    Args:
-        viewed: the field.
-        page: the files of the page.
-        guard: who may ask.
-        remote: the page shows pictures of this server only, and gets no Gaussians.
-    """
+    """Return the server of one field; a ``remote`` page shows pictures of this server only, and gets no Gaussians."""
     desk = _Answers(viewed, page, "remote" if remote else "live")
     routes = [
         Route("/", desk.index),

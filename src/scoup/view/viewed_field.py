@@ -46,10 +46,7 @@ class ViewedField:
     """
 
     def __init__(
-        self,
-        field: LanguageField,
-        words: Sequence[str] | None = None,
-        most: int = MOST_GAUSSIANS,
+        self, field: LanguageField, words: Sequence[str] | None = None, most: int = MOST_GAUSSIANS
     ) -> None:
         if most < 1:
             raise InputError(f"a page shows at least 1 Gaussian, got {most}")
@@ -134,10 +131,6 @@ class ViewedField:
 
         Of a large scene it has few Gaussians, to be seen until the parts are there. Its ``parts`` say how many of them
         stand for each part, its ``most`` how many Gaussians whole parts may have together if parts are merged.
-
-        Args:
-            effort: of compression, 1 to 9.
-            exported: for a page without a server.
         """
         canonical, metadata = None, self.metadata(exported)
         if self.words_problem is None:
@@ -245,12 +238,8 @@ class ViewedField:
         return rows
 
     def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:
-        """Return the Gaussians of things, or all others; the header contains the names of the things.
-
-        Args:
-            names: of the things, by their numbers.
-            rest: return all other Gaussians.
-        """
+        """Return the Gaussians of things by their numbers, or all others; the header contains the names of the
+        things."""
         table = self.field.thing_table
         count = 0 if table is None else len(table)
         wrong = [number for number in names if not 0 <= number < count]

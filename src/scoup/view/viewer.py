@@ -9,7 +9,6 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base import InputError, ScoupError, html
@@ -73,10 +72,8 @@ class Viewer:
         self._socket = bound_socket(host, port)
         host_name = _shown_host(host)
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
-        config = server_config(
-            application(viewed, page, guard, remote), guard.has_token if guard.token else None, "off"
-        )
-        self._server: uvicorn.Server = uvicorn.Server(config)
+        served = application(viewed, page, guard, remote)
+        self._server: uvicorn.Server = uvicorn.Server(server_config(served, "off"))
         # Waited for in place of the thread: until Python 3.12, an interrupted join marks a running thread as ended.
         self._ended = threading.Event()
         threading.Thread(target=self._serve, name="scoup view", daemon=True).start()
@@ -109,21 +106,19 @@ class Viewer:
 
     def close(self) -> None:
         """Stop answering; open pages say so."""
-        log = logging.getLogger("uvicorn.error")
-        log.addFilter(_nothing)  # it reports each pending request as a fault, with a traceback
+        log, silent = logging.getLogger("uvicorn.error"), logging.Filter("none of its names")
+        log.addFilter(silent)  # it reports each pending request as a fault, with a traceback
         try:
             self._server.should_exit = True
             self._ended.wait(10)
             self._socket.close()
         finally:
-            log.removeFilter(_nothing)
+            log.removeFilter(silent)
 
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
@@ -176,11 +171,6 @@ def check_needed(serves: bool = True) -> None:
     if missing:
         raise ScoupError(f'the viewer needs {" and ".join(missing)}: pip install "scoup[view]"')
     page_files()
-
-
-def _nothing(record: logging.LogRecord) -> bool:
-    """Drop every message."""
-    return False
 
 
 def bound_socket(host: str, port: int | None) -> socket.socket:
