@@ -153,7 +153,7 @@ def test_who_does_not_end_a_request_or_read_an_answer_is_let_go(viewer: Viewer, 
 @pytest.fixture
 def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """Places that no deadline frees: a visitor who is answered at all was let in at once."""
-    for name, value in {"MOST": 8, "SECONDS": 600.0}.items():
+    for name, value in {"MOST": 8, "STRANGERS": 4, "SECONDS": 600.0}.items():
         monkeypatch.setattr(connections, name, value)
 
 
@@ -200,19 +200,33 @@ def test_answers_arrive_whole_and_others_have_their_turn_between_the_parts(size:
     assert not any(pair == ("part", "part") for pair in pairwise(told))
 
 
-def test_who_lacks_the_token_has_one_answer_per_connection() -> None:
-    sent = "GET /nothing HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-    with Viewer(viewed_field(count=40), host="0.0.0.0", port=0) as viewer, connect(viewer, sent) as stranger:
-        assert b"connection: close" in stranger.recv(10_000).lower()
-        until_closed(stranger)
+@pytest.mark.usefixtures("few_places")
+def test_who_lacks_the_token_has_few_places_and_one_answer_each() -> None:
+    sent = "GET {} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with Viewer(viewed_field(count=40), host="0.0.0.0", port=0) as viewer, ExitStack() as stack:
+        path = f"{urlsplit(viewer.address).path}api/alive"
+        with connect(viewer, sent.format("/nothing")) as stranger:
+            assert b"connection: close" in stranger.recv(10_000).lower()
+            until_closed(stranger)
+        visitors = [stack.enter_context(connect(viewer, sent.format(path))) for _ in range(3)]
+        for visitor in visitors:
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        for _ in range(30):
+            stack.enter_context(connect(viewer))
+        for visitor in visitors:  # as before: strangers ended one another
+            visitor.sendall(sent.format(path).encode())
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        assert len(viewer._server.server_state.connections) <= 3 + connections.STRANGERS
 
 
 def test_the_address_with_the_most_connections_makes_room() -> None:
-    def opened(address: str, when: float) -> Any:
-        return SimpleNamespace(client=(address, 1), deadline=SimpleNamespace(when=lambda: when))
+    def opened(address: str, when: float, is_stranger: bool = False) -> Any:
+        deadline = SimpleNamespace(when=lambda: when)
+        return SimpleNamespace(client=(address, 1), is_stranger=is_stranger, deadline=deadline)
 
-    busy = SimpleNamespace(client=("b", 1), deadline=None)
-    found: list[Any] = [opened("a", 1), opened("b", 3), opened("b", 2), busy]
-    assert connections.idlest(found) is found[2]
-    assert connections.idlest(found, but=found[2]) is found[1]
-    assert connections.idlest(found[3:]) is None
+    busy = SimpleNamespace(client=("b", 1), is_stranger=False, deadline=None)
+    found: list[Any] = [opened("a", 1), opened("b", 3), opened("b", 2), busy, opened("c", 9, True)]
+    assert connections.idlest(found) is found[4]
+    assert connections.idlest(found[:4]) is found[2]
+    assert connections.idlest(found[:4], but=found[2]) is found[1]
+    assert connections.idlest(found[3:4]) is None

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import h11
 import uvicorn
@@ -18,6 +19,8 @@ from uvicorn.server import ServerState
 
 MOST = 128
 """Connections at a time; browsers keep six to a server."""
+STRANGERS = 32
+"""Of these, connections that have not sent the token yet."""
 SECONDS = 20.0
 """For a whole request, and for reading each ``PART`` of an answer."""
 BURST = MOST // 2
@@ -32,21 +35,32 @@ _UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nConten
 class BoundedConnection(H11Protocol):
     """A connection with a deadline of ``SECONDS``, closed early when a new one needs its slot.
 
-    Where all places are taken, the connection that the server has waited for longest ends, of the address with the most
-    connections.
+    Where all places are taken, the connection that the server has waited for longest ends: of strangers first, then of
+    the address with the most connections.
     """
 
+    has_token: ClassVar[Callable[[Any], bool] | None] = None
+    """Whether a request (its ASGI scope) has the token; None if none is needed."""
+    is_stranger = False
     deadline: asyncio.TimerHandle | None = None  # while the server waits for the client
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
+        self.is_stranger = self.has_token is not None
         self._wait()
         opened = opened_of(self.server_state)
-        if len(opened) > most_connections():
+        strangers = [peer for peer in opened if peer.is_stranger]
+        most = most_connections()
+        if len(strangers) > min(STRANGERS, most // 2):
+            (idlest(strangers, self) or self).end()
+        elif len(opened) > most:
             (idlest(opened, self) or self).end()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
+        has_token = type(self).has_token
+        if self.scope is not None and has_token is not None and has_token(self.scope):
+            self.is_stranger = False
         self._wait()
 
     def pause_writing(self) -> None:
@@ -100,11 +114,14 @@ def most_connections() -> int:
     return MOST
 
 
-def server_config(application: Any, lifespan: Literal["on", "off"]) -> uvicorn.Config:
-    """Return the settings of a server with bounded connections."""
+def server_config(
+    application: Any, has_token: Callable[[Any], bool] | None, lifespan: Literal["on", "off"]
+) -> uvicorn.Config:
+    """Return the settings of a server with bounded connections; ``has_token`` as of ``BoundedConnection``."""
+    known = has_token and staticmethod(has_token)
     return uvicorn.Config(
         application,
-        http=BoundedConnection,
+        http=type("Connection", (BoundedConnection,), {"has_token": known}),
         ws="none",
         backlog=min(BURST, most_connections() // 2),
         log_level="error",  # warnings about odd requests would fill the terminal
@@ -122,10 +139,10 @@ def opened_of(server: ServerState) -> list[BoundedConnection]:
 
 
 def idlest(opened: list[BoundedConnection], but: BoundedConnection | None = None) -> BoundedConnection | None:
-    """Return the connection with the earliest deadline, of the address with the most."""
+    """Return the connection with the earliest deadline: of strangers first, then of the address with the most."""
     addresses = Counter(peer.client and peer.client[0] for peer in opened)
     waiting = [
-        (-addresses[peer.client and peer.client[0]], peer.deadline.when(), number)
+        (not peer.is_stranger, -addresses[peer.client and peer.client[0]], peer.deadline.when(), number)
         for number, peer in enumerate(opened)
         if peer.deadline is not None and peer is not but
     ]

@@ -1,5 +1,4 @@
-"""The Model Context Protocol server, by the protocol's own package `mcp`: over standard input and output, and over HTTP
-for several clients on this machine, whose requests carry a token."""
+"""The Model Context Protocol server, by the protocol's own package `mcp`, and over standard input and output."""
 
 from __future__ import annotations
 
@@ -10,7 +9,6 @@ import io
 import itertools
 import json
 import re
-import secrets
 import signal
 import sys
 import threading
@@ -25,11 +23,9 @@ from PIL import Image as Pictures
 
 from scoup.base import VERSION, ScoupError, as_json
 from scoup.pictures import Picture
-from scoup.view.guard import MOST_BYTES
+from scoup.view.mcp_http import serve_http
 from scoup.view.scene_tools import SceneTools
-from scoup.view.viewer import bound_socket
 
-HOST = "127.0.0.1"
 INSTRUCTIONS = (
     "3D scenes whose objects can be found by text. Begin with list_scenes. Things have numbers that stay the same; "
     "positions are in scene units; keys that end in _metres are in metres, where the scene knows them."
@@ -220,54 +216,3 @@ def _png(picture: Picture) -> bytes:
     data = io.BytesIO()
     Pictures.fromarray(picture).save(data, "PNG")
     return data.getvalue()
-
-
-def serve_http(
-    server: Any, port: int, announce: Callable[[str, str], None], stopping: Callable[[int], None]
-) -> None:
-    """Serve over HTTP, to this machine only, until a signal ends it.
-
-    The package `mcp` refuses other names of the host than those of loopback, and requests of other sites. ``announce``
-    is called with the address and a new token once clients can connect.
-
-    Raises:
-        InputError: the port cannot be bound to.
-        KeyboardInterrupt: after SIGINT or SIGTERM, once the server has ended.
-    """
-    import uvicorn
-
-    from scoup.view.connections import server_config
-
-    class Server(uvicorn.Server):
-        def handle_exit(self, sig: int, frame: Any) -> None:
-            stopping(sig)
-            super().handle_exit(sig, frame)
-
-    token = secrets.token_urlsafe(24)
-    inner = server.streamable_http_app(
-        host=HOST, json_response=True, stateless_http=True, max_request_body_size=MOST_BYTES
-    )
-    with bound_socket(HOST, port) as listening:
-        listening.listen()  # clients wait until the server runs
-        announce(f"http://{HOST}:{listening.getsockname()[1]}/mcp", token)
-        Server(server_config(_WithToken(inner, token), "on")).run(sockets=[listening])
-
-
-class _WithToken:
-    """Refuses requests without the token."""
-
-    def __init__(self, inner: Any, token: str) -> None:
-        self.inner = inner
-        self.expected = f"Bearer {token}".encode()
-
-    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        from starlette.responses import PlainTextResponse
-
-        refusal = PlainTextResponse(
-            "send the header Authorization: Bearer TOKEN, with the token that scoup mcp printed",
-            401,
-            {"www-authenticate": "Bearer", "connection": "close"},
-        )
-        given = dict(scope.get("headers", ())).get(b"authorization", b"")
-        is_refused = scope["type"] == "http" and not secrets.compare_digest(given, self.expected)
-        await (refusal if is_refused else self.inner)(scope, receive, send)

@@ -15,7 +15,12 @@ from scoup.base import InputError, OutputExistsError, ScoupError, looked_up, rou
 from scoup.io import save_gaussians
 from scoup.models import LONGEST
 from scoup.pictures import Picture, as_picture, mask_overlay
-from scoup.query import LanguageField, Thing, named_things, related_objects
+from scoup.query import (
+    LanguageField,
+    Thing,
+    named_things,
+    related_objects,
+)
 from scoup.scene import Cameras
 
 MOST_LISTED = 200

@@ -72,8 +72,10 @@ class Viewer:
         self._socket = bound_socket(host, port)
         host_name = _shown_host(host)
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
-        served = application(viewed, page, guard, remote)
-        self._server: uvicorn.Server = uvicorn.Server(server_config(served, "off"))
+        config = server_config(
+            application(viewed, page, guard, remote), guard.has_token if guard.token else None, "off"
+        )
+        self._server: uvicorn.Server = uvicorn.Server(config)
         # Waited for in place of the thread: until Python 3.12, an interrupted join marks a running thread as ended.
         self._ended = threading.Event()
         threading.Thread(target=self._serve, name="scoup view", daemon=True).start()
