@@ -369,7 +369,8 @@ class Real(Answers):
                 difference = record["differences"].get(pair, {}).get(group, {}).get(rule)
                 body.append([f"{title}, {kind}", *_best(values), difference_cell(difference)])
         tables = [markdown(["scene, mIoU", *ways, pair], body), presence_table(record["presence"])]
-        counted = [[name, *map(str, counts.values())] for name, counts in record["right"]["default"].items()]
+        right = record["right"].get("default", {})
+        counted = [[name, *map(str, counts.values())] for name, counts in right.items()]
         return "\n\n".join([*tables, markdown(["answers of default, words", *COUNTED], counted)])
 
 

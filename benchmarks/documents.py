@@ -81,11 +81,10 @@ def readme() -> str:
                 for values in columns.values()
             ),
             f"{size:,}",
-            f"{mean(of['build_seconds'][way].values()):.0f}",
         ]
         for way, (title, size) in names.items()
     ]
-    return markdown(["mIoU", *columns, "bytes per Gaussian", "build, s"], rows)
+    return markdown(["mIoU", *columns, "bytes per Gaussian"], rows)
 
 
 def single_steps() -> str:

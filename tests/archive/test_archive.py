@@ -394,7 +394,7 @@ def test_doubtful_answers_are_marked_and_folded(
 
 
 @pytest.mark.parametrize(
-    "where", ["flor = 2", "floor =", "floor + scan > 2", "no_such_function(floor)", "city::INTEGER > 2"]
+    "where", ["room = 2", "floor =", "floor + scan > 2", "no_such_function(floor)", "city::INTEGER > 2"]
 )
 def test_a_condition_that_cannot_be_used_says_what_can(archive: scoup.Archive, where: str) -> None:
     with refuses() as error:

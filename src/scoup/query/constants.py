@@ -72,10 +72,9 @@ COMMON_THINGS, COMMON_SHARE = 10, 0.5
 """Some words are near to many things: this share of the mean of a word's so many largest cosines is subtracted from all
 of them (cross-domain similarity local scaling, Conneau et al. 2018)."""
 SHORT_LIST = 200
-"""Words of a list up to which the nearest itself is the name: 84 and 76 % of the names are right on settings tuned on
-and held out. Of the 1,588 words of desk's table, 27 and 23 % would be."""
+"""Words of a list up to which the nearest itself is the name. Figures in docs/things.md; chosen on the same scenes."""
 NEAREST_WORDS, IN_COMMON = 8, 5
-"""Nearest words of a thing, and how many of them have to be below the broader word that names it: 80 and 86 % right."""
+"""Nearest words of a thing, and how many of them have to be below the broader word that names it. As SHORT_LIST."""
 UNNAMED = 0.6
 """How well no word fits a thing, beside the scores of nearest words."""
 LEAST_REGIONS = 5
