@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -19,6 +18,7 @@ import torch
 from PIL import Image
 
 import scoup
+from children import finished
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
 from messages import refuses, warns
@@ -373,7 +373,7 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     assert len(listed.splitlines()) == 4
     program = 'import sys; from scoup.cli import entry\ntry: entry()\nexcept SystemExit: exit("torch" in sys.modules)'
     listing = [sys.executable, "-c", program, "archive", "a", "--list"]
-    assert subprocess.run(listing, capture_output=True, text=True, check=True).stdout == listed
+    assert finished(listing, check=True).stdout == listed
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
 

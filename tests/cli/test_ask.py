@@ -84,7 +84,7 @@ def test_an_absent_text_selects_nothing() -> None:
     absent = f"{low}: not in this scene (score {score:.2f})"
     out = printed("select", "f.scoup", *TEXTS, *ask, "a.ply")
     assert [line for line in out.splitlines() if line.startswith(f"{low}:")] == [absent]
-    assert re.search(rf"^{high}: \d+ of 150 Gaussians$", out, re.MULTILINE)
+    assert re.search(rf"^{high}: thing \d+, \d+ of 150 Gaussians$", out, re.MULTILINE)
     assert refused("select", "f.scoup", low, *ask, "b.ply") == (
         f"b.ply: nothing to write, 0 of 150 Gaussians answer; {absent}; --always chooses something anyway"
     )

@@ -170,7 +170,7 @@ def test_verbs_answer_in_metres(verb: str) -> None:
 
 def test_texts_pages_tables_and_labels_are_in_metres() -> None:
     ask = "query", "f.scoup", "kettle", "--pictures", "none", "--overwrite"
-    assert " scene units, thing" in printed(*ask)
+    assert " scene units, presence" in printed(*ask)
     before = run_json("catalog", "f.scoup")
     set_frame(*ALL)
     assert "scene units" not in printed(*ask)

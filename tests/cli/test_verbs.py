@@ -94,7 +94,7 @@ VERBS: dict[str, tuple[list[str], dict[str, Any], str]] = {
 """Files that it writes, with * for names that depend on the content; of the record for machines, what is always so and
 the names of what is not."""
 VARYING = re.compile(
-    r"(?<=extent )[^,]+|\[[^]]*\]|\d+\.\d+|(?<=thing )\d+|\d+(?= s\b| strays\b|% of the view| kB a| regions and)"
+    r"(?<=extent )[^,]+|\[[^]]*\]|\d+\.\d+|(?<=thing )\d+|\d+(?= s\b|% of the view|% alike| kB a| regions and)"
 )
 """What is not the same on every machine, beside numbers of the record."""
 

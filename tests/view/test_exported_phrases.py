@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 import shutil
-import subprocess
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +17,7 @@ from browser_support import visiting
 from test_one_grammar import PHRASES
 from view_samples import PAGE
 
+from children import PIPE, child
 from query.planted_room import ABSENT, ROOM, Box, planted_room, with_whole
 from scoup.base import ScoupError
 from scoup.query import LanguageField
@@ -138,9 +138,10 @@ def by_page(tmp_path: Path, monkeypatch) -> Callable[[ViewedField, Sequence[str]
         page = tmp_path / "page.html"
         export_page(viewed, page)
         command = [node, str(script), str(VIEWER), str(page)]
-        done = subprocess.run(command, input=json.dumps(texts), capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        with child(command, stdin=PIPE) as process:
+            out, err = process.communicate(json.dumps(texts))
+        assert process.returncode == 0, err
+        return json.loads(out)
 
     return ask
 

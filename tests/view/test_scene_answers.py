@@ -7,8 +7,6 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -174,8 +172,7 @@ def test_the_vocabulary_is_the_table_or_a_list(viewed: ViewedField, tmp_path: Pa
     assert viewed.is_closed()
     with pytest.raises(UnknownNameError):
         viewed_field(words=["nothing"]).vocabulary()
-    model: Any = SimpleNamespace(names=None)
-    assert "kettle" in TextEncoder.vocabulary(model)
+    assert "kettle" in TextEncoder("a/model", 4, None).vocabulary()
     listed = tmp_path / "list.txt"
     listed.write_text(" a  b\n\nc\na b\n")
     assert read_words(listed) == ("a b", "c")
