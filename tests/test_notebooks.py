@@ -79,7 +79,7 @@ def test_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         name: {kind for output in outputs for kind in output.get("data", {})}
         for name, outputs in made.items()
     }
-    for name in ("load", "build", "ask", "view", "select"):
+    for name in ("load", "build", "ask", "view"):
         assert "text/html" in kinds[name], name
     assert "image/png" in kinds["sheet"]
     assert made["absent"][0]["data"]["text/plain"] == "False"
