@@ -130,7 +130,10 @@ class GaussianLabels:
                 "name": answer.word,
                 "color": colors[number],
                 "gaussians": counts[answer.word],
-                **{name: answer.to_dict()[name] for name in ("level", "things", "present", "score")},
+                "level": answer.level,
+                "things": list(answer.things),
+                "present": answer.presence,
+                "score": answer.verdict()["score"],
             }
             for number, answer in enumerate(self.answers)
         ]

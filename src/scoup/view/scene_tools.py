@@ -139,8 +139,9 @@ class SceneTools:
             **_reply(things, limit, lambda thing: thing.to_dict()),
             "remark": answer.remark(),
             "texts": [
-                {"text": single.text, **{key: single.to_dict()[key] for key in _OF_TEXTS}}
+                {"text": single.text, **{key: record[key] for key in _OF_TEXTS}}
                 for single in answer.parts
+                for record in [single.to_dict()]
             ],
             "directions": frame.describe(),
             "frame": {"axes": axes, **frame.to_dict()},
