@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from scoup.base import InputError, Progress, html, no_progress, rounded_vector, staged, write_text
+from scoup.base import InputError, Progress, as_json, html, no_progress, rounded_vector, staged, write_text
 from scoup.field import Field
 from scoup.pictures import Picture, as_picture, mask_overlay
 from scoup.query.field_view import FieldView
@@ -134,7 +133,7 @@ def save_catalog(
     pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
     files = [GRAPH, TABLE, PAGE, *pictures]
     with staged(folder, files, overwrite) as hidden:
-        graph = json.dumps(catalog.to_dict(), indent=1, allow_nan=False)
+        graph = as_json(catalog.to_dict(), indent=1)
         write_text(hidden / GRAPH, graph + "\n")
         rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog)]
         text = io.StringIO()

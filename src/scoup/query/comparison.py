@@ -11,7 +11,6 @@ The files of a comparison are JSON, pictures from before and after, and a page.
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,6 +28,7 @@ from scoup.base import (
     Progress,
     ScoupWarning,
     WorldFrame,
+    as_json,
     counted,
     no_progress,
     rounded_vector,
@@ -310,7 +310,7 @@ def save_comparison(
     """Write the files of a comparison of two fields into a folder; return their names, but for those of pictures."""
     files = [RECORD, PAGE]
     with staged(folder, files, overwrite) as hidden:
-        record = json.dumps(comparison.to_dict(), indent=1, allow_nan=False)
+        record = as_json(comparison.to_dict(), indent=1)
         write_text(hidden / RECORD, record + "\n")
         (hidden / PICTURES).mkdir()
         cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
