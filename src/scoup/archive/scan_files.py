@@ -114,7 +114,7 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
     texts = (tuple(map(str, header[name])) for name in ("levels", "texts"))
     levels, columns = next(texts), check_columns(header["columns"])
     _check_arrays(arrays, len(levels))
-    world = WorldFrame.of_dict(header.get("frame", {}))
+    world = WorldFrame.of_header(header)
     scan = Scan(
         file=file, levels=levels, columns=columns, world=world, texts=next(texts), arrays=arrays, **plain
     )
@@ -226,7 +226,7 @@ def _header(scan: Scan) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
-        **({} if scan.world == WorldFrame() else {"frame": scan.world.to_dict()}),
+        **scan.world.entry(),
         "arrays": base64.b64encode(data).decode(),
     }
     return {**header, "checksum": checksum(header)}

@@ -70,6 +70,16 @@ class WorldFrame:
         except (TypeError, ValueError, OverflowError):
             raise InputError("frame: has values of other types than a frame of the world") from None
 
+    @classmethod
+    def of_header(cls, header: Mapping[str, Any]) -> WorldFrame:
+        """Return the frame that the header of a file has (``entry``), or one of which nothing is known; errors as of
+        ``of_dict``."""
+        return cls.of_dict(header.get("frame", {}))
+
+    def entry(self) -> dict[str, Any]:
+        """Return its entry in the header of a file; nothing for a frame of which nothing is known."""
+        return {} if self == WorldFrame() else {"frame": self.to_dict()}
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
         return {name: list(value) if type(value) is tuple else value for name, value in asdict(self).items()}

@@ -167,7 +167,7 @@ def with_frame_of(out: Path, field: Field) -> Field:
         with suppress(InputError):  # a damaged one
             facts = read_facts(out)
             if facts["fingerprint"] == field.fingerprint:
-                return field.with_world(WorldFrame.of_dict(facts.get("frame", {})))
+                return field.with_world(WorldFrame.of_header(facts))
     return field
 
 

@@ -56,7 +56,7 @@ class Frame:
         from scoup.base import WorldFrame
         from scoup.field import read_facts, write_world
 
-        before = WorldFrame.of_dict(read_facts(self.field).get("frame", {}))
+        before = WorldFrame.of_header(read_facts(self.field))
         up = self.up
         if isinstance(up, str):
             up = tuple(float(f"{up[:-1]}1") if axis == up[-1] else 0.0 for axis in "xyz")

@@ -14,7 +14,6 @@ from scoup.field.checks import MOST_THINGS
 from scoup.field.container import (
     SCHEMA,
     VERSION,
-    frame_entry,
     place_of,
     read_content,
     relative_place,
@@ -67,7 +66,7 @@ def write_field(field: Field, path: Path, overwrite: bool, embed_geometry: bool,
         "cameras": None if field.cameras is None else list(field.cameras.names),
         "provenance": info.provenance,
         **({} if names is None else {"names": list(names.texts)}),
-        **frame_entry(info.world),
+        **info.world.entry(),
     }
     write_content(path, header, arrays, overwrite)
 
@@ -88,7 +87,7 @@ def read_field(path: Path) -> tuple[dict[str, Any], Gaussians | None]:
         raster_preset=header["raster_preset"],
         provenance=header["provenance"],
         words=place_of(path, header["words"]),
-        world=WorldFrame.of_dict(header.get("frame", {})),
+        world=WorldFrame.of_header(header),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:

@@ -95,12 +95,7 @@ def write_world(path: Path, world: WorldFrame) -> None:
     header, arrays = read_content(path)
     for name in ("checksum", "checksums", "frame"):
         header.pop(name, None)
-    write_content(path, header | frame_entry(world), arrays, overwrite=True)
-
-
-def frame_entry(world: WorldFrame) -> dict[str, Any]:
-    """Return the entry of a frame in the header; nothing for one without anything known."""
-    return {} if world == WorldFrame() else {"frame": world.to_dict()}
+    write_content(path, header | world.entry(), arrays, overwrite=True)
 
 
 def relative_place(path: Path, target: Path | None) -> str | None:

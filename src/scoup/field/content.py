@@ -64,7 +64,7 @@ def check_content(header: Mapping[str, Any], arrays: Arrays) -> None:
     """Check that a header and tensors are those of a language field; everything that ``LanguageField`` expects."""
     _check_types(header, _HEADER)
     _check_types(header["geometry"], _GEOMETRY)
-    WorldFrame.of_dict(header.get("frame", {}))
+    WorldFrame.of_header(header)
     cameras = header["cameras"] or []
     names = header.get("names", [])
     if not isinstance(names, list) or not all(
