@@ -151,8 +151,8 @@ class Extract:
         check(embedder.dim)
         views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
-        minutes = crops_minutes(embedder, len(part.of(chosen)))
-        if minutes > 5 and not embedder.name.startswith("open_clip:"):
+        is_dense_too = not embedder.name.startswith("open_clip:")
+        if is_dense_too and (minutes := crops_minutes(embedder, len(part.of(chosen)))) > 5:
             console.say(
                 f"one crop per region will take about {minutes:.0f} minutes; --embedder dense:{embedder.name} makes "
                 "one pass per photograph, with somewhat other answers (docs/extract.md)"
