@@ -93,7 +93,7 @@ def test_cameras_that_see_nothing_are_refused() -> None:
 def test_photographs_come_by_what_they_add(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, cameras = scene(tmp_path)
     write_colmap(cameras, folder / "sparse" / "0", (np.zeros((1, 3)), np.zeros((1, 3), np.uint8)))
-    monkeypatch.setattr("scoup.extract.photograph_choice.scene_surface", lambda *_: ball())
+    monkeypatch.setattr("scoup.extract.photograph_choice._surface", lambda *_: ball())
     monkeypatch.setattr("scoup.extract.photograph_choice.rank_views", lambda *_: [2, 0])
     chosen = choose_photographs(folder, find_photographs(folder), 2)
     assert [item.name for item in chosen] == ["2.png", "0.png"]

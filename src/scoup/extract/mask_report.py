@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base import InputError, ScoupError, counted, spread
-from scoup.extract.photograph_choice import scene_surface
+from scoup.extract.photograph_choice import posed_scene
 from scoup.extract.photographs import LOSSY, Photograph, read_photograph
-from scoup.io import load_cameras
 
 _MOST_HIDDEN = 0.5  # of the pixels, or of the scene in them, by masks that may be the other way round
 _MOST_READ = 24  # masks that tell the shares
@@ -65,14 +64,11 @@ def _scene_places(
     """Return where the scene is in photographs, [M, 2] shares of width and height, by their files."""
     with suppress(InputError), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        cameras = load_cameras(scene, images, distorted="undistort", missing_images="keep")
-        views = {camera.image_path: camera for camera in cameras}
-        shown = {item.path: views[item.path] for item in photographs if item.path in views}
-        surface = scene_surface(scene, gaussians, list(shown.values()))
+        cameras, surface = posed_scene(scene, photographs, gaussians, images)
         means = surface.means[surface.opacities > 0.1]
         return {
             path: (view.pixels(means[seen])[0] / view.K.new_tensor([view.width, view.height])).numpy()
-            for path, view in shown.items()
+            for path, view in cameras.items()
             if bool((seen := view.shows(means)).any())
         }
     return {}

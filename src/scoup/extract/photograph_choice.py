@@ -116,14 +116,8 @@ def choose_photographs(
         >>> len(choose_photographs("scene", find_photographs("scene"), 2))
         2
     """
-    cameras = {
-        camera.image_path: camera
-        for camera in load_cameras(scene, images, distorted="undistort", missing_images="keep")
-    }
+    cameras, surface = posed_scene(scene, photographs, gaussians, images)
     posed = [item for item in photographs if item.path in cameras]
-    surface = scene_surface(
-        Path(scene), None if gaussians is None else Path(gaussians), [cameras[item.path] for item in posed]
-    )
     read = reported(read_ahead(posed, max_height), "photographs", len(posed), progress)
     sharp = {item: sharpness(pixels.image) for item, pixels in read if not isinstance(pixels, ScoupError)}
     if not sharp:
@@ -188,7 +182,19 @@ def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
     return (sharp / usual.clamp(min=1e-9)).clamp(max=1)
 
 
-def scene_surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
+def posed_scene(
+    scene: str | Path, photographs: Sequence[Photograph], splat: str | Path | None, images: str | Path | None
+) -> tuple[dict[Path, Camera], Gaussians]:
+    """Return the cameras of photographs by their files, of those that have one, and what they show; arguments and
+    errors as of ``choose_photographs``."""
+    loaded = load_cameras(scene, images, distorted="undistort", missing_images="keep")
+    every = {camera.image_path: camera for camera in loaded}
+    cameras = {item.path: every[item.path] for item in photographs if item.path in every}
+    surface = _surface(Path(scene), None if splat is None else Path(splat), [*cameras.values()])
+    return cameras, surface
+
+
+def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
     """Return the splat, which must fit the cameras, or COLMAP's points as Gaussians."""
     paths = ScenePaths(scene)
     try:
