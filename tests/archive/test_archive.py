@@ -27,8 +27,8 @@ from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import list_scans
 from scoup.archive.agent_tool import archive_tool
-from scoup.archive.archive import FoundThing
 from scoup.archive.database import call, connect
+from scoup.archive.found_things import FoundThing
 from scoup.archive.page import results_page
 from scoup.archive.search import Found, look_alikes, rank_of
 from scoup.base import InputError, ScoupError, ScoupWarning

@@ -9,7 +9,6 @@ import warnings
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from itertools import groupby, islice
@@ -24,9 +23,10 @@ from PIL import Image, ImageOps
 from torch import Tensor
 
 from scoup.archive.database import WHERE_SECONDS, connect, matching_things
+from scoup.archive.found_things import FoundThing, FoundThings
 from scoup.archive.kept_scans import KeptScans, free_row, vector_bytes
 from scoup.archive.scan_files import Scan, arrays_of, read_places, write_scan
-from scoup.archive.scan_header import OwnColumns, check_columns, check_folder, file_of, scan_names
+from scoup.archive.scan_header import check_columns, check_folder, file_of, scan_names
 from scoup.archive.search import (
     AskedScans,
     Encode,
@@ -43,17 +43,15 @@ from scoup.base import (
     OutputExistsError,
     ScoupError,
     ScoupWarning,
-    WorldFrame,
     check_arguments,
     check_format_version,
     looked_up,
-    rounded_vector,
     write_text,
 )
 from scoup.field import place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
-from scoup.query import Certainty, LanguageField, OrientedBox, Thing, ThingIndex, warn_of_another_model
+from scoup.query import LanguageField, Thing, ThingIndex, warn_of_another_model
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -62,74 +60,6 @@ FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
 Wanted: TypeAlias = "Mapping[int, set[int] | None]"
 """Number of a scan -> its things that may be found; None: all. Scans without any are left out."""
 ENCODED = 16  # lists of names whose vectors are in memory
-
-
-@dataclass(frozen=True, eq=False)
-class FoundThing:
-    """A thing of a scan that answers."""
-
-    scan: str
-    """Name of the scan."""
-    thing: int
-    """Its number in the field of the scan (``Thing.number``)."""
-    text: str
-    """The text that it answers, or the name of the image's file."""
-    level: str
-    """Name of its level."""
-    score: float | None
-    """As of ``Thing``: the share of everyday words whose best fit in its scan is lower, 0 to 1. Of an image: the cosine
-    with it."""
-    certainty: Certainty | None
-    """Of the answer of its scan, as of ``Answer``; None for an image."""
-    position: Tensor
-    """[3] float64 in the units of its scan."""
-    box: OrientedBox
-    """Around it."""
-    n_gaussians: int
-    """How many Gaussians it has."""
-    columns: OwnColumns
-    """What was said of the scan when it was added."""
-    field_path: Path
-    """File of the scan's field."""
-    world: WorldFrame
-    """Of its scan, when it was added."""
-    runner_up: int | None = None
-    """Number of the best other thing of the scan, beside the first that answers there, if it fits nearly as well."""
-
-    def field(self) -> LanguageField:
-        """Load the field of the scan."""
-        return LanguageField.load(self.field_path)
-
-    def describe(self) -> str:
-        """Return scan, number, position and extent in words, for people."""
-        place = self.world.place(self.position.tolist(), self.box.extent.tolist())
-        runner_up = "" if self.runner_up is None else f", or thing {self.runner_up}"
-        return f"{self.scan}, thing {self.thing}, level {self.level}, at {place}{runner_up}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values, rounded."""
-        return {
-            "scan": self.scan,
-            "thing": self.thing,
-            "text": self.text,
-            "level": self.level,
-            "score": None if self.score is None else round(self.score, 4),
-            "certainty": self.certainty,
-            "position": rounded_vector(self.position.tolist()),
-            "box": self.box.to_dict(),
-            **self.world.metres(self.position.tolist(), self.box.extent.tolist()),
-            "gaussians": self.n_gaussians,
-            "runner_up": self.runner_up,
-            "columns": dict(self.columns),
-            "field": str(self.field_path),
-        }
-
-
-class FoundThings(list[FoundThing]):
-    """Things, best first."""
-
-    n_answers: int | None = None
-    """How many answer in all; None if they were not counted, as the rest cannot be better."""
 
 
 class Archive:
@@ -328,10 +258,8 @@ class Archive:
             vector = self._embedded(pixels)
 
         def best(scans: dict[str, Scan], wanted: Wanted) -> tuple[list[Found], int | None]:
-            index, placed = (
-                self._kept.index(scans, vector[None], ""),
-                [scan.arrays["placed"] for scan in scans.values()],
-            )
+            index = self._kept.index(scans, vector[None], "")
+            placed = [scan.arrays["placed"] for scan in scans.values()]
             alike = look_alikes(index, vector, name, placed)
             return [*islice((answer for answer in alike if _is_wanted(answer, wanted)), top)], None
 

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import torch
 
-from scoup.archive.archive import FoundThing
+from scoup.archive.found_things import FoundThing
 from scoup.base import ScoupError, ScoupWarning, html
 from scoup.field import relative_place
 from scoup.pictures import Picture
@@ -42,10 +42,10 @@ def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
         for number, picture in _pictures([thing for thing in results if thing.scan == scan])
     }
     things = [(thing, pictures.get((thing.scan, thing.thing)), _link(thing, path)) for thing in results]
-    doubtful = [card for card in things if card[0].certainty == "doubtful"]
-    return html(
-        _FOUND, title=title, found=[card for card in things if card not in doubtful], doubtful=doubtful
+    sure, doubtful = (
+        [card for card in things if (card[0].certainty == "doubtful") == wanted] for wanted in (False, True)
     )
+    return html(_FOUND, title=title, found=sure, doubtful=doubtful)
 
 
 def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:

@@ -122,6 +122,7 @@ class AskedScans:
         first = {(scene, thing): text for scene, thing, text in reversed(answers)}
         ranked: dict[tuple[int, int], Found] = {}
         for text in dict.fromkeys(first.values()):
+            word = self.search.question.words[self.search.question.texts.index(text)]
             keys = [key for key, own_text in first.items() if own_text == text]
             rows = [self.index.starts[scene] + thing for scene, thing in keys]
             fits = self._of_text(self._asked.fits, text)[rows].tolist()
@@ -131,7 +132,6 @@ class AskedScans:
                 verdict = self._asked.verdicts[text][key[0]]
                 is_first = self.search.expression.is_plain and verdict.things[:1] == key[1:]
                 rival = verdict.runner_up.thing if is_first and verdict.runner_up else None
-                word = self.search.question.words[self.search.question.texts.index(text)]
                 ranked[key] = Found(*key, word, score, rank, verdict.certainty, rival)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
         return [ranked[key] for key in every if self.scans[key[0]].arrays["placed"][key[1]]]

@@ -113,7 +113,7 @@ class SearchArchive:
         counts = Counter(thing.scan for thing in things)
         doubtful = [thing for thing in things if thing.certainty == "doubtful"]
         for thing in things:
-            if thing not in doubtful:
+            if thing.certainty != "doubtful":
                 score = "" if thing.score is None else f"{thing.score:.2f} "
                 certainty = "" if thing.certainty is None else f", {thing.certainty}"
                 console.say(f"{score}{thing.text}{certainty}: {thing.describe()}")
