@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -61,6 +62,7 @@ class Laptop(Study):
             _save_clip(model)
             _save_tokenizer(model, made.words.texts)
             for way in missing:
+                os.environ["SCOUP_CACHE"] = str(folder / way / "cache")  # no everyday words of an earlier run
                 shutil.rmtree(scene / "language_features")
                 models = ["--segmenter", str(self.weights), "--embedder", f"{EMBEDDERS[way]}{model}"]
                 yield (
