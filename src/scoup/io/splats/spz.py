@@ -29,7 +29,6 @@ _AXIS: Axis = "x"
 _QUARTER = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
 MOST_BITS = 16  # after the binary point of a coordinate
 _MOST_FIXED = (1 << 23) - 1  # what 24 bits with a sign hold
-_MOST_DEGREE = {3: 3, 4: 4}  # of SH, by version that is written
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
 _ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
@@ -86,20 +85,15 @@ def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
 
 
 def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
-    """Write a .spz file of version 3 or 4; docs/formats.md says how values are rounded. Rows that are not finite are
-    refused.
+    """Write a .spz file of version 3, or of version 4, which alone has SH degree 4; docs/formats.md says how values are
+    rounded. Rows that are not finite are refused.
 
     Warns:
-        ScoupWarning: coefficients of SH degree 4 were left out, or scales were clipped.
+        ScoupWarning: scales were clipped.
     """
-    if version not in _MOST_DEGREE:
-        raise InputError(f"{path}: .spz of version {version} is not written; versions: 3, 4")
+    version = 4 if gaussians.sh_degree > 3 else version
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
     means, scales, sh = arrays["means"], arrays["scales"], arrays["sh"]
-    degree = min(gaussians.sh_degree, _MOST_DEGREE[version])
-    if gaussians.sh_degree > degree:
-        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
-        sh = sh[:, : (degree + 1) ** 2]
     largest = float(np.abs(means).max(initial=0.0))
     if largest > _MOST_FIXED:
         raise InputError(f"{path}: .spz cannot store coordinates of {largest:.3g}; use another format")
@@ -114,7 +108,12 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
     # The most bits after the binary point that leave room for the largest coordinate.
     bits = next(bits for bits in range(MOST_BITS, -1, -1) if round(largest * (1 << bits)) <= _MOST_FIXED)
     header = SpzHeader(
-        version, len(means), degree, bits, gaussians.antialiased, world=turned_world(gaussians.world, _AXIS)
+        version,
+        len(means),
+        gaussians.sh_degree,
+        bits,
+        gaussians.antialiased,
+        world=turned_world(gaussians.world, _AXIS),
     )
     fixed = np.rint(means * (1 << bits)).astype("<i4")
     higher = _last_turned(sh[:, 1:])
