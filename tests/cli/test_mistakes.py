@@ -46,7 +46,7 @@ MISTAKES: dict[str, list[str]] = {
         "--features no", "--features scene/point_cloud.ply", "--features r --embedder colors", "--images no",
         "--model no.npz", "--model scene/README.txt", "--model 'no model'", "--model a/b/c",
         "--sums no.sums", "--sums f.scoup", "--sums scene/images --overwrite", "--sums s --keep-sums s",
-        "--codebook no.scoup",
+        "--codebook no.scoup", "--sums s --no-masks",
     ],
     "build": [
         "scene/images --out a.scoup", "trained/point_cloud/iteration_30000 --out a.scoup",

@@ -122,15 +122,14 @@ class Build:
 
         named = [*passed_options(self.hidden)]
         named += [name for name in passed_options(self.method) if name in ("--segmenter", "--embedder")]
-        if self.parts.features is not None:
-            if named:
+        for option, given in (("--features", self.parts.features), ("--sums", self.region_sums.sums)):
+            if given is not None and named:
                 raise InputError(
-                    f"{' and '.join(named)} would make regions, but --features names some; pass either"
+                    f"{' and '.join(named)} would make regions, but {option} names some; pass either"
                 )
-            return {}
+            if given is not None:
+                return {}
         paths, embedder = ScenePaths(self.scene), self.method.embedder or CLIP_MODEL
-        if self.region_sums.sums is not None:
-            return {}
         made = paths.features(to_make=True)
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
