@@ -68,6 +68,7 @@ struct Sieve {
     }
 };
 
+// In double precision: single precision makes region sums only a few per cent faster, even without compensated terms.
 class Projector {
   public:
     Projector(const Camera& camera, const Preset& preset) : camera_(camera) {
