@@ -24,7 +24,6 @@ STUDIES = Family(
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",
-        "photographs": "benchmarks.photographs:Photographs",
         "query": "benchmarks.query:Query",
         "first-words": "benchmarks.first_words:FirstWords",
         "stages": "benchmarks.stages:Stages",

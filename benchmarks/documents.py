@@ -32,7 +32,6 @@ from benchmarks.first_words import FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import EMBEDDERS, Laptop
 from benchmarks.lerf_sized import LerfSized
-from benchmarks.photographs import Photographs
 from benchmarks.query import Query
 from benchmarks.real_scenes import PHOTOGRAPHED, place_of
 from benchmarks.registration import Registration
@@ -123,7 +122,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "real": (Real, "real"),
     "concepts": (Concepts, "concepts"),
     "laptop": (Laptop, "laptop"),
-    "photographs": (Photographs, "photographs"),
     "query": (Query, "query"),
     "first words": (FirstWords, "first_words"),
     "stages": (Stages, "stages"),
@@ -157,7 +155,6 @@ HIDDEN = {
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)|relevancy, .*",
-    "photographs": "blurred of the chosen",
     "viewer": "exported words.*|program, bytes|scoup info, s",
 }
 """Headings and first cells of the columns and rows that only the record has."""
