@@ -19,7 +19,6 @@ STUDIES = Family(
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
         "agents": "benchmarks.agents:Agents",
-        "concepts": "benchmarks.concepts:Concepts",
         "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",

@@ -24,7 +24,6 @@ from benchmarks.answers import Real
 from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
-from benchmarks.concepts import Concepts
 from benchmarks.documents_chart import bars
 from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.extract import Extraction
@@ -120,7 +119,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "lerf sized": (LerfSized, "lerf_sized"),
     "extract": (Extraction, "extract"),
     "real": (Real, "real"),
-    "concepts": (Concepts, "concepts"),
     "laptop": (Laptop, "laptop"),
     "query": (Query, "query"),
     "first words": (FirstWords, "first_words"),
