@@ -26,8 +26,8 @@ from benchmarks.query import STAGES, Query
 from benchmarks.registration import FOUND, KNOWN, RIGHT, SIMULATED, Registration
 from benchmarks.stages import Stages
 from benchmarks.study import Record, Study, run
-from benchmarks.things import PAIRS, Things, average_precision
-from benchmarks.things_truth import is_between, is_true
+from benchmarks.things import RELATIONS, Things, average_precision
+from benchmarks.things_truth import is_true
 
 from messages import refuses
 from scoup import raster
@@ -95,13 +95,12 @@ def test_stages_are_compared_with_the_reference(monkeypatch: pytest.MonkeyPatch)
 def test_things_and_relations() -> None:
     (row,) = ran(Things(scenes=("table-0",), n_gaussians=6000, most=2, desk=False))["rows"]
     assert 0 < row["iou"] <= 1
-    assert row["ap"]["0.25"] >= row["ap"]["0.5"] >= row["ap"]["0.75"]
+    assert 1 >= row["ap"]["0.25"] >= row["ap"]["0.5"] > 0
     assert row["objects"] > 20
-    assert set(row["relations"]) == {*PAIRS, "between"}
+    assert set(row["relations"]) == {*RELATIONS}
     hits, missed = (sum(of[place] for of in row["relations"].values()) for place in (0, 1))
     assert hits > 3 * missed  # so small a scene loses some
     assert sum(row["relations"]["left of"]) == 4  # two true ones, two false
-    assert row["bytes"][0] > row["bytes"][1] == 6  # three levels, two bytes each
 
 
 @pytest.mark.slow
@@ -141,10 +140,8 @@ def test_presence_by_thresholds_chosen_on_the_other_scenes() -> None:
 SPANS = {  # along right, up and away
     "table": [(0, 2), (0.7, 0.75), (0, 1)],
     "mug": [(0.2, 0.3), (0.75, 0.85), (0.4, 0.5)],
-    "bowl": [(1.4, 1.8), (0.75, 0.9), (0.2, 0.6)],
-    "apple": [(1.5, 1.6), (0.8, 0.88), (0.3, 0.4)],
+    "bowl": [(1.4, 1.8), (0.75, 0.9), (0.6, 0.9)],
     "lamp": [(0.9, 1.1), (1.8, 2), (0.4, 0.6)],
-    "pen": [(0.31, 0.41), (0.75, 0.76), (0.4, 0.5)],
 }
 BOXES = {name: np.array(spans) for name, spans in SPANS.items()}
 
@@ -153,21 +150,17 @@ BOXES = {name: np.array(spans) for name, spans in SPANS.items()}
     ("one", "relation", "other", "truth"),
     [
         ("mug", "left of", "bowl", True), ("bowl", "left of", "mug", False), ("mug", "left of", "table", None),
-        ("bowl", "right of", "mug", True), ("apple", "in front of", "mug", None), ("mug", "behind", "apple", None),
+        ("mug", "in front of", "bowl", True), ("lamp", "in front of", "mug", False),
+        ("mug", "in front of", "lamp", None),
         ("mug", "on", "table", True), ("lamp", "on", "table", False), ("mug", "on", "bowl", False),
-        ("lamp", "above", "table", True), ("table", "above", "lamp", False), ("table", "under", "mug", True),
-        ("apple", "inside", "bowl", True), ("mug", "inside", "bowl", False), ("bowl", "inside", "apple", None),
-        ("pen", "near", "mug", True), ("mug", "near", "bowl", False),
+        ("lamp", "above", "table", True), ("table", "above", "lamp", False),
     ],
 )  # fmt: skip
 def test_relations_of_boxes(one, relation, other, truth) -> None:
-    assert is_true(relation, BOXES[one], BOXES[other], other) is truth
+    assert is_true(relation, BOXES[one], BOXES[other]) is truth
 
 
-def test_between_and_average_precision_by_hand() -> None:
-    assert is_between(BOXES["table"], BOXES["mug"], BOXES["bowl"]) is True
-    assert is_between(BOXES["mug"], BOXES["table"], BOXES["bowl"]) is False
-    assert is_between(BOXES["pen"], BOXES["mug"], BOXES["bowl"]) is None
+def test_average_precision_by_hand() -> None:
     overlaps = np.array([[0.9, 0.0], [0.8, 0.1], [0.0, 0.6], [0.0, 0.0]])  # the second finds the first again
     assert average_precision(overlaps, 0.5) == pytest.approx((1 + 2 / 3) / 2)
     assert average_precision(overlaps, 0.7) == pytest.approx(0.5)
