@@ -27,7 +27,6 @@ STUDIES = Family(
         "first-words": "benchmarks.first_words:FirstWords",
         "stages": "benchmarks.stages:Stages",
         "viewer": "benchmarks.viewer:ViewerCost",
-        "archive": "benchmarks.archive:Archives",
         "archive-times": "benchmarks.archive_times:ArchiveTimes",
         "compare": "benchmarks.compare:Compare",
         "registration": "benchmarks.registration:Registration",

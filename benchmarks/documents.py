@@ -21,7 +21,6 @@ from typing import Any
 import tyro
 
 from benchmarks.answers import Real
-from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
 from benchmarks.documents_chart import bars
@@ -124,7 +123,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "first words": (FirstWords, "first_words"),
     "stages": (Stages, "stages"),
     "viewer": (ViewerCost, "viewer"),
-    "archive": (Archives, "archive"),
     "archive times": (ArchiveTimes, "archive_times"),
     "compare": (Compare, "compare"),
     "registration": (Registration, "registration"),

@@ -6,7 +6,6 @@ import inspect
 import json
 import sys
 from itertools import product
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -17,7 +16,6 @@ import torch
 from benchmarks import gpu
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
-from benchmarks.embedding_kinds import KINDS
 from benchmarks.first_words import LONGEST, FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
@@ -167,29 +165,16 @@ def test_average_precision_by_hand() -> None:
     assert average_precision(np.zeros((0, 2)), 0.5) == 0
 
 
-def test_ranking_by_hand() -> None:
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_python")
+def test_times_of_archives() -> None:
     pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-    from benchmarks.archive import _ranking
+    from benchmarks.archive_times import ArchiveTimes
 
-    there = np.array([True, False, True])
-    assert _ranking(np.array([3.0, 2.0, 1.0]), there) == [pytest.approx((1 + 2 / 3) / 2), 1.0]
-
-
-@pytest.mark.data
-def test_simulated_scans_are_told_apart(data_folder: Path) -> None:
-    pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-    from benchmarks.archive import _figures, _summary
-    from benchmarks.archive_scans import World
-
-    world = World.open(data_folder)
-    first, scans = (world.simulate(KINDS["desk"], 6, seed=100) for _ in range(2))
-    for one, other in zip(first, scans, strict=True):
-        assert (one.table.embeddings == other.table.embeddings).all()
-    figures = _figures(world, scans)
-    assert figures["AUC"]["own"] > figures["AUC"]["cosine"] > 0.5
-    summary = _summary({"desk/100": figures})
-    assert summary["own"]["AP"][0] > 0.6
-    assert summary["own"]["place"][0] > summary["cosine"]["place"][0]
+    (row,) = ran(ArchiveTimes(things=(150,), scans=("table-0",), size=(3000, 96, 72, 6, 0)))["rows"].values()
+    assert row["things"] >= 150
+    assert row["scans"] >= 2
+    assert all(wall > 0 for wall, _ in row["seconds"].values())
 
 
 TINY = Gpu(n_gaussians=60, width=30, height=20, large=(32, 24), n_atoms=(8,), views=3, repeats=1)
