@@ -22,7 +22,6 @@ STUDIES = Family(
         "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
-        "extract": "benchmarks.extract:Extraction",
         "query": "benchmarks.query:Query",
         "first-words": "benchmarks.first_words:FirstWords",
         "stages": "benchmarks.stages:Stages",
@@ -39,7 +38,8 @@ def main(words: list[str]) -> int:
     try:
         study = parse(words, STUDIES, "python -m benchmarks")
         assert isinstance(study, Study)
-        return int(study.failed(run(study, words[0])))
+        run(study, words[0])
+        return 0
     except ScoupError as error:
         print(error, file=sys.stderr)
         return 2

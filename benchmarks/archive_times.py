@@ -91,7 +91,7 @@ def _times(fields: Sequence[LanguageField], count: int, folder: Path) -> Record:
         assert each.thing_table is not None
         assert index is not None
         some.append((each.thing_table, index, Thing.of_table(each, range(len(each.thing_table)))))
-    seconds, total, scans, digest = list[list[float]](), 0, 0, words_digest(encoder.everyday())
+    total, scans, digest = 0, 0, words_digest(encoder.everyday())
     with (folder / MATRIX).open("wb") as matrix:
         while total < count or scans < len(some):
             of_scan, index, things = some[scans % len(some)]
@@ -103,9 +103,9 @@ def _times(fields: Sequence[LanguageField], count: int, folder: Path) -> Record:
                 vectors_checksum=zlib.crc32(vectors), words=digest, texts=(),
                 arrays=arrays_of(index, None, torch.ones(len(of_scan), dtype=torch.bool)),
             )  # fmt: skip
-            seconds.append(_seconds(write_scan, scan, of_scan, things))
+            write_scan(scan, of_scan, things)
             total, scans = total + len(of_scan), scans + 1
-    clock: Record = {"write one scan": np.median(seconds, 0).tolist()}
+    clock: Record = {}
     memory: Record = {}
     for name, command in {
         "import of torch alone": ["import torch"],

@@ -25,7 +25,6 @@ from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
 from benchmarks.documents_chart import bars
 from benchmarks.documents_summaries import ablations, answers, baselines
-from benchmarks.extract import Extraction
 from benchmarks.first_words import FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import EMBEDDERS, Laptop
@@ -116,7 +115,6 @@ CHARTS: dict[str, Callable[[], str]] = {"times": laptop_chart}
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
-    "extract": (Extraction, "extract"),
     "real": (Real, "real"),
     "laptop": (Laptop, "laptop"),
     "query": (Query, "query"),
@@ -139,7 +137,6 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
-    "extract": "at level [sml]",
     "stages": "100,000|backend",
     "things": "table-4|shelves-2|kitchen-22",
     "baselines": "visible-centre-pixel|top-contributors",
