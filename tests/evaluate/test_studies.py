@@ -247,16 +247,6 @@ def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
     check_report(study.report(study.results(scenes), PROTOCOL.title, {}), tmp_path)
 
 
-def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
-    scene = scenes[0]
-    fitted = METHODS["dense"].fit(scene.rasterised)
-    rules = {level: ScoringRule(RULE, (level,)) for level in ("s", "m", "l")}
-    scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
-    peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
-    assert peaks[0] == peaks[1]
-    assert scores["all"].pairs == scene.scores(fitted, {"": ScoringRule(RULE)})[""].pairs
-
-
 def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:
     """Each level is drawn from the Gaussians with a code alone; drawn with the others, these hide some of it."""
     scene = scenes[0]
@@ -304,7 +294,6 @@ def test_rows_of_the_ablations_and_their_rules() -> None:
         "without the 50 % of lowest entropy, dropped from blending",
     ]
     assert rules["level by mask"].mask_rule.level_choice == "mask"
-    assert rules["only level m"].levels == ("m",)
     assert rules["beside everyday words"].mask_rule == RULE
     names = [each.name for each in ABLATIONS]
     assert len(set(names)) == len(names)

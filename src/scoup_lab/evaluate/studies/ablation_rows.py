@@ -44,11 +44,6 @@ def by_mask(rule: MaskRule) -> ScoringRule:
     return ScoringRule(replace(rule, level_choice="mask"))
 
 
-def only_level(name: str) -> Callable[[MaskRule], ScoringRule]:
-    """Return the rule of the protocol with one level that answers."""
-    return partial(ScoringRule, levels=(name,))
-
-
 def _changed(
     name: str,
     group: str,
@@ -79,14 +74,8 @@ ABLATIONS: tuple[Ablation, ...] = (
     *_WITHOUT,
     *(replace(row, name=f"{row.name}, dropped from blending", rule=CODED_ALONE) for row in _WITHOUT),
     Ablation("Adam", "solver", METHODS["paper"]),
-    Ablation("only level s", "levels", BASE, only_level("s")),
-    Ablation("only level m", "levels", BASE, only_level("m")),
-    Ablation("only level l", "levels", BASE, only_level("l")),
     Ablation("level by mask", "levels", BASE, by_mask),
     Ablation("beside everyday words", "phrases", BASE, BESIDE_EVERYDAY),
-    Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
-    Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
-    Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),
 )
 
 

@@ -30,7 +30,6 @@ class ScoringRule:
     """A rule from maps to scores."""
 
     mask_rule: MaskRule  # constants and choice of the level
-    levels: tuple[str, ...] | None = None  # names of levels that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
     coded: bool = False  # draw only Gaussians with a code (``relevancy_of_coded``); of sparse codes only
 
@@ -86,15 +85,15 @@ class StudyScene:
         """Return scores by the name of the rule. Maps are made once a frame for each kind of rule."""
         pairs: dict[str, list[PairScore]] = {name: [] for name in rules}
         kinds, frames = sorted({rule.kind for rule in rules.values()}), self.labelled.frames
+        protocol, levels = self.labelled.protocol, self.rasterised.regions.levels
         progress("scoring frames", 0, len(frames))
         for done, (frame, camera) in enumerate(frames, start=1):
             maps = {kind: self.relevancy(fitted, frame, camera, kind, clock) for kind in kinds}
             for name, rule in rules.items():
-                pairs[name].extend(self._score(frame, maps[rule.kind], rule))
+                pairs[name] += protocol.score_frame(frame, maps[rule.kind], rule.mask_rule, levels)
             progress("scoring frames", done, len(frames))
-        title = self.labelled.protocol.title
         return {
-            name: scene_score(self.name, rule.mask_rule.name, pairs[name], title)
+            name: scene_score(self.name, rule.mask_rule.name, pairs[name], protocol.title)
             for name, rule in rules.items()
         }
 
@@ -104,13 +103,6 @@ class StudyScene:
         return selection.score_method(
             self.labelled, self.vectors, fitted, scene.gaussians, scene.raster_preset
         )
-
-    def _score(self, frame: LabelledFrame, maps: Tensor, rule: ScoringRule) -> list[PairScore]:
-        levels = tuple(self.rasterised.regions.levels)
-        if rule.levels is not None:
-            # Other levels get the maps of one that may answer: protocols expect all levels.
-            maps = maps[[levels.index(name if name in rule.levels else rule.levels[0]) for name in levels]]
-        return self.labelled.protocol.score_frame(frame, maps, rule.mask_rule, levels)
 
 
 def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScene:
