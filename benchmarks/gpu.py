@@ -11,15 +11,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from benchmarks.gpu_rows import (
-    QUERIES,
-    BuiltScene,
-    Row,
-    answers_row,
-    build_scene,
-    parity_row,
-    query_row,
-)
+from benchmarks.gpu_rows import QUERIES, BuiltScene, Row, answers_row, build_scene, parity_row, query_row
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base import InputError

@@ -110,7 +110,7 @@ class CentrePixel(PairRule):
 
 
 @dataclass(frozen=True)
-class VisibleInView(PairRule):
+class VisibleInView(CentrePixel):
     """The pixel under the centre, for the Gaussians that are seen best in a view by their weights there: the gate of
     VALA's public code (``GaussianModel.accumulate_gaussian_feature_per_view_robust``). Their paper describes a gate for
     each ray (arXiv 2509.05515); the code has one for the view.
@@ -126,9 +126,6 @@ class VisibleInView(PairRule):
     # clear, quantile: fixed in that code
     clear: float = 0.15
     quantile: float = 0.85
-
-    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
-        return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
 
     def of_view(self, pairs: PixelWeights) -> PixelWeights:
         count = len(pairs.weight)
