@@ -39,12 +39,7 @@ from scoup_lab.evaluate.rules import MASK_RULES
 RULES = ("peak", "always", "names", "scene", "asked", "localisation")
 RIGHT_FROM = 0.5
 """Mean IoU over the views of a word from which an answer is right."""
-COMPARED = (
-    ("default", "dense"),
-    ("default", "paper"),
-    ("default", "votes"),
-    ("paper", "dense"),
-)
+COMPARED = (("default", "dense"), ("default", "paper"), ("default", "votes"), ("paper", "dense"))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,18 +7,17 @@ import os
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.archive_scans import World
-from benchmarks.data import data_folder
-from benchmarks.embedding_kinds import KINDS
 from benchmarks.processes import SCOUP, run_python
+from benchmarks.random_field import write_words
+from benchmarks.scenes import LAYOUTS, field_of, scene_of
 from benchmarks.study import Record, Study
 from scoup.archive import Archive
 from scoup.archive.archive import ABOUT, FORMAT, VERSION
@@ -26,29 +25,34 @@ from scoup.archive.kept_scans import MATRIX, vector_bytes
 from scoup.archive.scan_files import Scan, arrays_of, write_scan
 from scoup.archive.search import words_digest
 from scoup.base import WorldFrame
-from scoup.models import CANONICAL_PHRASES, TextEncoder, WordTable
+from scoup.field import ThingTable
+from scoup.models import EVERYDAY_WORDS, TextEncoder
+from scoup.query import LanguageField, Thing, ThingIndex
 from scoup_lab.bench import markdown
 
-TEXT, SCANS = "teapot", 48
+TEXT = "teapot"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArchiveTimes(Study):
-    """Time archives in which some simulated scans are repeated."""
+    """Time archives in which simulated scans of the layouts are repeated; words have made-up vectors, so that times
+    mean something, answers do not."""
 
-    data: Path = field(default_factory=data_folder)
-    """Folder of the scenes with real models, whose words are asked."""
     things: tuple[int, ...] = (150_000, 1_000_000)
     """Things of each archive."""
+    scans: tuple[str, ...] = tuple(f"{layout}-{seed}" for seed in range(3) for layout in LAYOUTS)
+    """Layouts of benchmarks.scenes with a seed."""
+    size: tuple[int, ...] = (40_000, 360, 270, 18, 0)
+    """Of a scan: Gaussians, width and height of the views in pixels, and views with and without regions."""
 
-    rows_depend_on = ()
+    rows_depend_on = ("scans", "size")
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        world = World.open(self.data)
+        fields = [field_of(scene_of(name, *self.size)) for name in self.scans]
         for count in self.things:
             if str(count) not in known:
                 with tempfile.TemporaryDirectory() as folder:
-                    yield str(count), _times(world, count, Path(folder))
+                    yield str(count), _times(fields, count, Path(folder))
 
     def line(self, figures: Any) -> str:
         return json.dumps(figures)
@@ -69,40 +73,42 @@ class ArchiveTimes(Study):
         return markdown(["wall time", *heads], body)
 
 
-def _times(world: World, count: int, folder: Path) -> Record:
-    """Return wall and processor seconds, and memory, with an archive of so many things: some scans many times."""
-    words = [*world.everyday, *CANONICAL_PHRASES]
-    table = folder / "words.npz"
-    WordTable.save(table, words, world.of(words).numpy(), model="simulated")
+def _times(fields: Sequence[LanguageField], count: int, folder: Path) -> Record:
+    """Return wall and processor seconds, and memory, with an archive of so many things: each field many times."""
+    table = write_words(folder / "words.npz")
+    encoder = TextEncoder.open(table)
     about = {
         "format": FORMAT,
         "version": VERSION,
-        "embedding_model": "simulated",
+        "embedding_model": encoder.name,
         "dim": 512,
-        "words": "words.npz",
+        "words": table.name,
     }
     (folder / ABOUT).write_text(json.dumps(about))
-    some = world.simulate(KINDS["clip"], SCANS, seed=7)
-    encoder, seconds, total, scans = TextEncoder.open(table), list[list[float]](), 0, 0
-    digest = words_digest(encoder.everyday())
+    some: list[tuple[ThingTable, ThingIndex, list[Thing]]] = []
+    for each in fields:
+        index = ThingIndex.of_field(each, encoder)
+        assert each.thing_table is not None
+        assert index is not None
+        some.append((each.thing_table, index, Thing.of_table(each, range(len(each.thing_table)))))
+    total, scans, digest = 0, 0, words_digest(encoder.everyday())
     with (folder / MATRIX).open("wb") as matrix:
-        while total < count or scans < SCANS:
-            each = some[scans % SCANS]
-            vectors = vector_bytes(each.table.embeddings)
+        while total < count or scans < len(some):
+            of_scan, index, things = some[scans % len(some)]
+            vectors = vector_bytes(of_scan.embeddings)
             matrix.write(vectors)
             scan = Scan(
-                file=folder / f"{each.name}-{scans:05}.parquet", field=f"{each.name}.scoup",
+                file=folder / f"scan-{scans:05}.parquet", field=f"scan-{scans:05}.scoup",
                 levels=("s", "m", "l"), columns={}, world=WorldFrame(), row=total,
                 vectors_checksum=zlib.crc32(vectors), words=digest, texts=(),
-                arrays=arrays_of(each.index, None, torch.ones(len(each.table), dtype=torch.bool)),
+                arrays=arrays_of(index, None, torch.ones(len(of_scan), dtype=torch.bool)),
             )  # fmt: skip
-            seconds.append(_seconds(write_scan, scan, each.table, each.things))
-            total, scans = total + len(each.table), scans + 1
-    clock: Record = {"write one scan": np.median(seconds, 0).tolist()}
+            write_scan(scan, of_scan, things)
+            total, scans = total + len(of_scan), scans + 1
+    clock: Record = {}
     memory: Record = {}
     for name, command in {
         "import of torch alone": ["import torch"],
-        "shell, help": [SCOUP, "archive", "--help"],
         "shell": [SCOUP, "archive", str(folder), TEXT],
     }.items():
         done = run_python(*command)
@@ -110,8 +116,9 @@ def _times(world: World, count: int, folder: Path) -> Record:
         memory[name] = round(done.peak_bytes / 1024e3)
     archive = Archive(folder, encoder)
     clock["first text"] = _seconds(archive.find, TEXT)
-    for name in ("further texts", "same texts again"):
-        clock[name] = np.median([_seconds(archive.find, text) for text in world.asked[:5]], 0).tolist()
+    clock["further texts"] = np.median(
+        [_seconds(archive.find, text) for text in EVERYDAY_WORDS[:5]], 0
+    ).tolist()
     first = sorted(folder.glob("*.parquet"))[0]
     os.utime(first)
     clock["a text after one scan was added"] = _seconds(archive.find, TEXT)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +151,7 @@ def changed_scene(
     layout: Layout, seed: int, n_gaussians: int, shifts: Mapping[int, Floats], more: int, part: float = 1.0
 ) -> DemoScene:
     """Return the scene of a layout with things shifted, with ``more`` Gaussians from other cameras."""
-    parts = {each.name: getattr(layout, each.name) for each in fields(layout)}
-    changed = ChangedLayout(**parts, shifts=shifts).seen(part, between=bool(more))
+    changed = ChangedLayout(**vars(layout), shifts=shifts).seen(part, between=bool(more))
     return make_demo_scene(seed, n_gaussians + more, *SIZES_OF_VIEWS, layout=changed)
 
 
@@ -227,8 +226,13 @@ def of_real(name: str, data: Path) -> Record:
     cameras = scene.cameras
     half = len(cameras) // 2
     halves = {PAIRS[3]: (cameras[::2], cameras[1::2]), PAIRS[4]: (cameras[:half], cameras[half:])}
-    figures: Record = {}
-    for pair, (some, others) in halves.items():
-        found = compare(scene.field(some), scene.field(others), list(scene.encoder.names or ()))
-        figures[pair] = {kind: [0, sum(change.kind == kind for change in found.changes), 0] for kind in KINDS}
-    return figures
+    words = list(scene.encoder.names or ())
+    return {
+        pair: false_changes(compare(scene.field(some), scene.field(others), words))
+        for pair, (some, others) in halves.items()
+    }
+
+
+def false_changes(found: Comparison) -> Record:
+    """Return the changes of captures between which nothing changed, as ``scored``."""
+    return {kind: [0, sum(change.kind == kind for change in found.changes), 0] for kind in KINDS}

@@ -21,18 +21,14 @@ from typing import Any
 import tyro
 
 from benchmarks.answers import Real
-from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
-from benchmarks.concepts import Concepts
 from benchmarks.documents_chart import bars
 from benchmarks.documents_summaries import ablations, answers, baselines
-from benchmarks.extract import Extraction
 from benchmarks.first_words import FirstWords
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import EMBEDDERS, Laptop
 from benchmarks.lerf_sized import LerfSized
-from benchmarks.photographs import Photographs
 from benchmarks.query import Query
 from benchmarks.real_scenes import PHOTOGRAPHED, place_of
 from benchmarks.registration import Registration
@@ -119,16 +115,12 @@ CHARTS: dict[str, Callable[[], str]] = {"times": laptop_chart}
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
-    "extract": (Extraction, "extract"),
     "real": (Real, "real"),
-    "concepts": (Concepts, "concepts"),
     "laptop": (Laptop, "laptop"),
-    "photographs": (Photographs, "photographs"),
     "query": (Query, "query"),
     "first words": (FirstWords, "first_words"),
     "stages": (Stages, "stages"),
     "viewer": (ViewerCost, "viewer"),
-    "archive": (Archives, "archive"),
     "archive times": (ArchiveTimes, "archive_times"),
     "compare": (Compare, "compare"),
     "registration": (Registration, "registration"),
@@ -145,10 +137,8 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
-    "extract": "at level [sml]",
     "stages": "100,000|backend",
-    "things": r"table-4|shelves-2|kitchen-22|AP at IoU 0.75|bytes per .*|"
-    r"(right of|behind|under|near|between|inside): .*",
+    "things": "table-4|shelves-2|kitchen-22",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.(2|45)",
     "archive times": "150,062 .*|shell, help|write one scan|same texts again|"
@@ -157,7 +147,6 @@ HIDDEN = {
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)|relevancy, .*",
-    "photographs": "blurred of the chosen",
     "viewer": "exported words.*|program, bytes|scoup info, s",
 }
 """Headings and first cells of the columns and rows that only the record has."""

@@ -11,16 +11,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from benchmarks.gpu_rows import (
-    QUERIES,
-    BuiltScene,
-    KernelTests,
-    Row,
-    answers_row,
-    build_scene,
-    parity_row,
-    query_row,
-)
+from benchmarks.gpu_rows import QUERIES, BuiltScene, Row, answers_row, build_scene, parity_row, query_row
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base import InputError
@@ -64,8 +55,6 @@ class Gpu(Study):
     """Of the build."""
     repeats: int = 15
     """Timed repetitions of each row."""
-    tests: str = ""
-    """Tests to run, as pytest's -k takes them; all by default."""
 
     device: ClassVar[str] = "cuda"
     backend: ClassVar[str] = "triton"
@@ -95,12 +84,6 @@ class Gpu(Study):
                 raise RuntimeError("the build failed")
             return build_scene(self.n_gaussians, self.views, self.width, self.height, self.device)
 
-        tests = cache(partial(KernelTests, self.tests))
-
-        def parity(width: int, height: int) -> Row:
-            tests()  # nothing is timed from here on
-            return parity_row(self.n_gaussians, width, height, self.device, self.backend)
-
         return {
             "build": lambda: built().row,
             **{
@@ -108,11 +91,12 @@ class Gpu(Study):
                 for name in QUERIES
             },
             **{
-                f"parity, {width} x {height}": partial(parity, width, height)
+                f"parity, {width} x {height}": partial(
+                    parity_row, self.n_gaussians, width, height, self.device, self.backend
+                )
                 for width, height in ((self.width, self.height), self.large)
             },
             "answers of a scene, by the command line": lambda: answers_row(self.device),
-            "tests": lambda: tests().row(),
         }
 
     def _view(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -159,7 +143,8 @@ class Gpu(Study):
 
 
 def _in_short(row: Row) -> str:
-    """Return a row that is not a timing: a failure by its reason, tests by their number, else its numbers."""
+    """Return a row that is not a timing: a failure by its reason, tests (of older records) by their number, else its
+    numbers."""
     if "reason" in row:
         return row["reason"][:60]
     if "failed" in row:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import subprocess
 import sys
 import tempfile
@@ -12,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import torch
 from torch import Tensor
@@ -37,48 +35,6 @@ from scoup_lab.bench.stages import region_sums_of_a_view, vote_of_a_view
 from scoup_lab.synthetic.random_scene import clip_like
 
 Row = dict[str, Any]
-
-TESTS = ("tests/raster/test_gpu.py", "tests/uplift/test_vote_gpu.py", "tests/coding/test_gpu_coder.py")
-TESTS_SECONDS = 120
-
-
-class KernelTests:
-    """The tests that compare kernels with their references: they run in processes beside this one.
-
-    Args:
-        chosen: of the tests, as pytest's -k takes it.
-    """
-
-    def __init__(self, chosen: str) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self._report = Path(self._folder.name) / "tests.xml"
-        words = ["-q", *TESTS, f"--junitxml={self._report}", "-n", "auto", "-k", chosen]
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *words],
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-
-    def row(self) -> Row:
-        """Wait for them, at most ``TESTS_SECONDS``; count them, and name what failed."""
-        try:
-            self._process.wait(TESTS_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            return {"reason": f"not done in {TESTS_SECONDS} s"}
-        if not self._report.exists():
-            return {"reason": "pytest made no report; are pytest, pytest-xdist and hypothesis installed?"}
-        cases = list(ElementTree.parse(self._report).iter("testcase"))
-        failed = {
-            f"{case.get('classname')}::{case.get('name')}": " ".join(str(problem.get("message")).split())[
-                :200
-            ]
-            for case in cases
-            for problem in [*case.iter("failure"), *case.iter("error")]
-        }
-        skipped = sum(1 for case in cases for _ in case.iter("skipped"))
-        return {"passed": len(cases) - len(failed) - skipped, "failed": failed, "skipped": skipped}
 
 
 def parity_row(

@@ -23,8 +23,6 @@ FOLDERS = {
 }
 PHOTOGRAPHED = ("desk", "fox")
 """Places whose photographs are real."""
-TUNED_ON = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
-"""Places that constants of the answer were tuned on."""
 SECOND = {"fox": {"-17": "language_features_17"}, "museum-real": {}}
 """Place -> ending of a second scene of it -> its regions: by default the same masks, with embeddings pooled in another
 way; of fox those of 17 of the 50 photographs."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import scoup
-from benchmarks.compare import AWAY, KINDS, Truth, changed_scene, drawn_changes, scored
+from benchmarks.compare import AWAY, KINDS, Truth, changed_scene, drawn_changes, false_changes, scored
 from benchmarks.data import data_folder
 from benchmarks.real_scenes import FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS, field_of, find_layout
@@ -229,11 +229,6 @@ def noisy_halves(name: str, data: Path) -> tuple[Pair, Record]:
         )
     pair = built[0], built[1]
     return pair, registered(pair, list(scene.encoder.names or ()), frame, false_changes)
-
-
-def false_changes(found: Comparison) -> Record:
-    """Return the changes of captures between which nothing changed, as ``scored``."""
-    return {kind: [0, sum(change.kind == kind for change in found.changes), 0] for kind in KINDS}
 
 
 def accepted(captures: Mapping[str, Pair]) -> Record:

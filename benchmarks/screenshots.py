@@ -1,6 +1,6 @@
 """Pictures of the viewer's page for the documents: dark, dark at the width of a phone, and a moving one.
 
-    python -m benchmarks.screenshots FIELD TEXT [TEXT ...] [--table WORDS] [--camera NAME] [--mode MODE] [--out FOLDER]
+    python -m benchmarks.screenshots FIELD TEXT [TEXT ...] [--camera NAME] [--mode MODE] [--out FOLDER]
 
 Opens a field in the viewer and its page in headless Chromium, asks the texts, and writes viewer-dark.jpg
 and viewer-dark-phone.jpg; with --moving, viewer.webp instead, in which the texts are typed one after
@@ -64,14 +64,7 @@ def opened(browser: Browser, address: str, camera: str | None, look: dict[str, A
 
 
 def take(browser: Browser, address: str, options: argparse.Namespace, look: dict[str, Any]) -> Image.Image:
-    """Return a picture of the page after all texts were asked at once.
-
-    Args:
-        browser: to open it in.
-        address: of the page.
-        options: texts, camera and mode.
-        look: size and colours of the window.
-    """
+    """Return a picture of the page in a window of a size and colours after all texts were asked at once."""
     with opened(browser, address, options.camera, look) as page:
         box = page.get_by_label("What do you look for?")
         box.fill(", ".join(options.texts))
@@ -125,7 +118,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("field", type=Path, help="the .scoup file")
     parser.add_argument("texts", nargs="+", help="what to look for")
-    parser.add_argument("--table", help="word table or model, where the field's own is not at hand")
     parser.add_argument("--camera", help="of the field; by default its first")
     parser.add_argument("--mode", help="colour, heat, only, except, codes or confidence")
     parser.add_argument("--moving", action="store_true", help="one moving picture")
@@ -134,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
     if program() is None:
         print("there is no Chromium here; install chromium", file=sys.stderr)
         return 2
-    viewed = ViewedField(scoup.LanguageField.load(options.field, words=options.table))
+    viewed = ViewedField(scoup.LanguageField.load(options.field))
     options.out.mkdir(parents=True, exist_ok=True)
     with Viewer(viewed, port=0) as viewer, chromium() as browser:
         if options.moving:

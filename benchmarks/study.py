@@ -55,11 +55,6 @@ class Study:
         """Return Markdown of a record."""
         raise NotImplementedError
 
-    @staticmethod
-    def failed(record: Record) -> bool:
-        """Return whether the command ends with 1."""
-        return False
-
     def settings(self) -> Record:
         """Return the study's own options; folders are of this machine and left out."""
         of_runner = {field.name for field in fields(Study)}

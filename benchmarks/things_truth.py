@@ -25,10 +25,8 @@ TOUCHING, APART = (
     0.015,
     0.1,
 )  # metres between the bottom of a thing and the top of what it is on, or clearly not on
-MOSTLY = 0.9  # share of a footprint or a volume
-NEAR, FAR = 0.25, 1.0  # gap in diagonals of the larger thing
+MOSTLY = 0.9  # share of a footprint
 STRAYS = 0.02  # share of a hand-labelled object's Gaussians beyond each end of its box
-CONTAINERS = ("bowl", "basket", "bookcase", "shelves")
 
 Floats = NDArray[np.float64]
 
@@ -102,34 +100,11 @@ def true_axes(camera: Camera) -> Floats:
     return np.stack([np.cross(away, [0, 0, 1]), [0, 0, 1], away])
 
 
-def is_true(relation: str, one: Floats, other: Floats, other_name: str) -> bool | None:
+def is_true(relation: str, one: Floats, other: Floats) -> bool | None:
     """Return whether a relation of two boxes clearly holds, clearly does not, or None."""
-    if relation == "left of":
-        return _before(one, other, RIGHT)
-    if relation == "right of":
-        return _before(other, one, RIGHT)
-    if relation == "in front of":
-        return _before(one, other, AWAY)
-    if relation == "behind":
-        return _before(other, one, AWAY)
-    if relation == "under":
-        return _above(other, one)
-    return (
-        {"on": _on, "above": _above, "near": _near}[relation](one, other)
-        if relation != "inside"
-        else (_inside(one, other, other_name))
-    )
-
-
-def is_between(one: Floats, first: Floats, second: Floats) -> bool | None:
-    """Return whether a box is clearly between two others."""
-    start, line = first.mean(1), second.mean(1) - first.mean(1)
-    own, length = one.mean(1) - start, float(np.linalg.norm(line))
-    place = float(own @ line) / max(length, 1e-9) ** 2
-    aside = float(np.linalg.norm(own - place * line)) / max(length, 1e-9)
-    if 0.3 <= place <= 0.7 and aside <= 0.2:
-        return True
-    return False if place < 0 or place > 1 or aside > 1 else None
+    if relation in ("on", "above"):
+        return (_on if relation == "on" else _above)(one, other)
+    return _before(one, other, RIGHT if relation == "left of" else AWAY)
 
 
 def _before(one: Floats, other: Floats, axis: int) -> bool | None:
@@ -165,17 +140,3 @@ def _above(one: Floats, other: Floats) -> bool | None:
     if share == 0 or one[UP, 1] < other[UP].mean():
         return False
     return True if share >= MOSTLY and one[UP, 0] >= other[UP, 1] - TOUCHING else None
-
-
-def _near(one: Floats, other: Floats) -> bool | None:
-    larger = max(float(np.linalg.norm(np.diff(box, axis=1))) for box in (one, other))
-    gap = float(np.linalg.norm((-_overlap(one, other)).clip(0)))
-    return True if gap <= NEAR * larger else False if gap >= FAR * larger else None
-
-
-def _inside(one: Floats, other: Floats, container: str) -> bool | None:
-    shared = _overlap(one, other)
-    if bool((shared <= 0).any()):
-        return False
-    within = float(np.prod(shared)) >= MOSTLY * float(np.prod(np.diff(one, axis=1)))
-    return True if within and container in CONTAINERS else None

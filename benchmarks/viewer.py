@@ -19,7 +19,7 @@ from typing import Any
 
 import scoup
 from benchmarks.chromium import chromium, program
-from benchmarks.processes import SCOUP, memory_of, run_python
+from benchmarks.processes import SCOUP, memory_of
 from benchmarks.random_field import random_field, write_words
 from benchmarks.study import Record, Study
 from scoup.scene import Cameras, Gaussians
@@ -35,7 +35,7 @@ class ViewerCost(Study):
     """Count the bytes that go to a browser, and time the start of `scoup view`.
 
     The random scene with made-up codes and an everyday vocabulary with made-up vectors: bytes and times mean something,
-    answers do not. Seconds are those of this machine: medians of three starts (by turns with `scoup info`) or openings.
+    answers do not. Seconds are those of this machine: medians of three starts or openings.
     """
 
     n_gaussians: int = 1_000_000
@@ -48,7 +48,7 @@ class ViewerCost(Study):
             cameras = random_scene_cameras(VIEWS, 320, 240)
             path = write_field(Path(folder), random_scene_gaussians(self.n_gaussians), cameras)
             yield "sent", sent_bytes(path)
-            yield "start", start_seconds(path)
+            yield "start", {"scoup view until it answers, s": start_seconds(path)}
             if program() is not None:
                 yield "page", page_seconds(path)
             yield f"served/{self.n_gaussians}", serving_costs(path)
@@ -154,19 +154,15 @@ def _processor_seconds(process: int) -> float:
     return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
-def start_seconds(path: Path) -> dict[str, float]:
-    """Return seconds from the command to the first answer of its server, beside `scoup info` on the same field."""
-    seconds: dict[str, list[float]] = {"info": [], "view": []}
+def start_seconds(path: Path) -> float:
+    """Return seconds from the command to the first answer of its server."""
+    seconds = []
     for _ in range(START_REPEATS):
-        seconds["info"].append(run_python(SCOUP, "info", str(path)).wall_s)
         started = time.perf_counter()
         with served(path) as (address, _), urllib.request.urlopen(address) as answer:
             answer.read()
-            seconds["view"].append(time.perf_counter() - started)
-    return {
-        "scoup info, s": median(seconds["info"]),
-        "scoup view until it answers, s": median(seconds["view"]),
-    }
+            seconds.append(time.perf_counter() - started)
+    return median(seconds)
 
 
 @contextmanager
@@ -195,16 +191,12 @@ def sent_bytes(path: Path) -> dict[str, float]:
     with Viewer(viewed, port=0) as viewer:
         parts = [f"part/{number}-of-{viewed.n_parts}" for number in range(viewed.n_parts)]
         scene = sum(_size(viewer.address + name) for name in ("scene.bin", *parts))
-        page = _size(viewer.address + "viewer.js")
         answer = _size(viewer.address + "api/query", request)
     report = export_page(viewed, path.with_suffix(".html"))
     return {
-        "program, bytes": page,
         "scene, bytes a Gaussian": scene / count,
         "query, bytes both ways": len(json.dumps(request)) + answer,
         "exported page, bytes a Gaussian": report.bytes / count,
-        "exported words": report.words,
-        "exported words, bytes": report.words_bytes,
     }
 
 

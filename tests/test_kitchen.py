@@ -15,7 +15,7 @@ from scoup.io import load_image
 from scoup.raster import render_colors
 from scoup_lab.data.labels import match_frames, read_labels
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
-from scoup_lab.evaluate.scores import scene_score
+from scoup_lab.evaluate.scores import SceneScore
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_kitchen_from_files_to_scores(kitchen: Path, data_folder: Path, tmp_path
         for frame, camera in frames[:3]
     ]
     pairs = [pair for frame, maps in answers for pair in PROTOCOL.score_frame(frame, maps)]
-    score = scene_score("kitchen", PROTOCOL.rule().name, pairs, PROTOCOL.title)
+    score = SceneScore("kitchen", PROTOCOL.rule().name, tuple(pairs), PROTOCOL.title)
     # The dense reference with all views and full size has 0.77 and 0.93; chance is near 0.05.
     assert score.miou > 0.5
     assert score.accuracy > 0.7

@@ -80,9 +80,9 @@ def test_codes_give_what_their_channels_give(scene: RasterisedScene) -> None:
     assert fitted.coded().equal(channels.coded())
 
 
-# 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, the 8 with a thing; 16 floats; 16 bytes
+# 3 levels; 4 atoms of 3 bytes and a thing of 2; 64 coefficients of 2; 16 floats; 16 bytes
 # (D = 16); 3 floats.
-SIZES = {"sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-45-contributors": 48,
+SIZES = {"sparse": 42, "sparse-64-all": 384, "dense": 192, "top-45-contributors": 48,
          "autoencoder": 36}  # fmt: skip
 
 

@@ -176,23 +176,6 @@ def test_the_method_is_these_codes(scene: RasterisedScene) -> None:
     assert fitted.bytes_per_gaussian == 3 * 3 * 3  # levels, atoms, a byte and a half
 
 
-def test_a_share_of_the_views(scene: RasterisedScene) -> None:
-    """Only these views are rendered, with the rows of their own regions."""
-    method = replace(METHODS["joint-codes"], views=0.4)
-    inputs = scene.inputs(views=0.4)
-    assert inputs.scene is not None
-    assert inputs.scene.regions.view_names == (scene.regions.view_names[1],)
-    alone = RasterisedScene(scene.gaussians, scene.cameras, inputs.scene.regions)
-    few, expected = (
-        each.fit(of, MethodSettings(joint=SMALL))
-        for each, of in ((method, scene), (METHODS["joint-codes"], alone))
-    )
-    assert isinstance(few, FittedField)
-    assert isinstance(expected, FittedField)
-    assert torch.equal(few.field.code_weights, expected.field.code_weights)
-    assert torch.equal(few.field.codebook, expected.field.codebook)
-
-
 def test_what_cannot_be_learned_is_refused(scene: RasterisedScene) -> None:
     inputs = scene.inputs()
     with refuses():

@@ -17,7 +17,6 @@ from scoup.uplift import BuildSettings, GaussianCodes, RegionSums, region_sums
 from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.dense import dense_features, mean_features
 from scoup_lab.baselines.fitted import FittedChannels
-from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.pixel_rules import (
     AllPixels,
@@ -25,11 +24,11 @@ from scoup_lab.baselines.pixel_rules import (
     PixelWeights,
     TopContributors,
     VisibleInView,
-    centre_pixels,
     pixel_weights,
+    pixels_under,
 )
-from scoup_lab.baselines.rasterised_scene import RasterisedScene, spread_views
-from scoup_lab.baselines.sparse import SparseUplift, vote_entropy, without_half
+from scoup_lab.baselines.rasterised_scene import RasterisedScene
+from scoup_lab.baselines.sparse import vote_entropy, without_half
 from scoup_lab.baselines.visible_median import streaming_median
 from support import make_camera, random_gaussians, small_scene, unit
 
@@ -54,7 +53,7 @@ def test_pixel_weights_are_the_blending_weights_whatever_the_bands(pixels: int) 
 def test_centre_pixels() -> None:
     camera = make_camera(seed=3)
     scene = random_gaussians(80, 2, ("plain", "behind", "nan"))
-    found = centre_pixels(scene, camera)
+    found = pixels_under(scene.means, camera)
     for mean, pixel in zip(scene.means.double(), found, strict=True):
         x, y, z = (camera.viewmat[:3, :3] @ mean + camera.viewmat[:3, 3]).tolist()
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
@@ -86,7 +85,7 @@ def test_region_sums_against_loops(rule: CentrePixel | TopContributors) -> None:
         expected = np.zeros((50, sum(part.stop - part.start for part in rows.values())))
         for camera in cameras:
             weights = weights_of(gaussians, camera)
-            kept = literal(rule, weights, centre_pixels(gaussians, camera))
+            kept = literal(rule, weights, pixels_under(gaussians.means, camera))
             labels = regions.load(camera.name, name).labels.flatten().numpy()
             for pixel, label in enumerate(labels):
                 if label >= 0:
@@ -128,7 +127,7 @@ def test_the_gate_sees_a_view_as_a_whole() -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
     sums = VisibleInView().region_sums(RasterisedScene(gaussians, cameras, regions))
     for camera in cameras:
-        centres = centre_pixels(gaussians, camera)
+        centres = pixels_under(gaussians.means, camera)
         at_centre = weights_of(gaussians, camera).reshape(50, -1)
         found = [(i, at_centre[i, centres[i]]) for i in range(50) if centres[i] >= 0]
         seen = [(i, float(weight)) for i, weight in found if weight > 0]
@@ -162,26 +161,11 @@ def test_sums_are_made_once_for_equal_rules_and_codes_for_settings_that_differ_i
         scene.inputs().codes(replace(quick, **changes))
         scene.inputs(CentrePixel()).codes(quick)
     assert learn.call_count == 1
-    scene.inputs(views=0.5).codes(quick)
     scene.inputs().codes(replace(quick, seed=1))
-    assert learn.call_count == 3
+    assert learn.call_count == 2
     scene.forget_codes()
     scene.inputs().codes(quick)
-    assert learn.call_count == 4
-
-
-def test_views_are_spread_evenly_and_keep_their_order() -> None:
-    scene = RasterisedScene(*small_scene(views=4))
-    names = scene.regions.view_names
-    assert spread_views(scene.regions, 0.5).view_names == (names[1], names[3])
-    assert spread_views(scene.regions, 0.01).view_names == (names[2],)
-    inputs = scene.inputs(views=0.5)
-    assert list(inputs.sums.views) == [names[1], names[3]]
-    assert [len(rows) for rows in inputs.embeddings] == [
-        len(spread_views(scene.regions, 0.5).embeddings(level)[0]) for level in scene.regions.levels
-    ]
-    fitted = Method("half", SparseUplift(n_atoms=4, k=2), views=0.5).fit(scene)
-    assert fitted.coded().any()
+    assert learn.call_count == 3
 
 
 def test_features_are_sums_and_means_of_embeddings() -> None:

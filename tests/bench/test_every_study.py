@@ -6,7 +6,6 @@ import inspect
 import json
 import sys
 from itertools import product
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -17,17 +16,16 @@ import torch
 from benchmarks import gpu
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
-from benchmarks.embedding_kinds import KINDS
 from benchmarks.first_words import LONGEST, FirstWords
 from benchmarks.gpu import Gpu
-from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
+from benchmarks.gpu_rows import QUERIES, answers_row
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
 from benchmarks.registration import FOUND, KNOWN, RIGHT, SIMULATED, Registration
 from benchmarks.stages import Stages
 from benchmarks.study import Record, Study, run
-from benchmarks.things import PAIRS, Things, average_precision
-from benchmarks.things_truth import is_between, is_true
+from benchmarks.things import RELATIONS, Things, average_precision
+from benchmarks.things_truth import is_true
 
 from messages import refuses
 from scoup import raster
@@ -95,13 +93,12 @@ def test_stages_are_compared_with_the_reference(monkeypatch: pytest.MonkeyPatch)
 def test_things_and_relations() -> None:
     (row,) = ran(Things(scenes=("table-0",), n_gaussians=6000, most=2, desk=False))["rows"]
     assert 0 < row["iou"] <= 1
-    assert row["ap"]["0.25"] >= row["ap"]["0.5"] >= row["ap"]["0.75"]
+    assert 1 >= row["ap"]["0.25"] >= row["ap"]["0.5"] > 0
     assert row["objects"] > 20
-    assert set(row["relations"]) == {*PAIRS, "between"}
+    assert set(row["relations"]) == {*RELATIONS}
     hits, missed = (sum(of[place] for of in row["relations"].values()) for place in (0, 1))
     assert hits > 3 * missed  # so small a scene loses some
     assert sum(row["relations"]["left of"]) == 4  # two true ones, two false
-    assert row["bytes"][0] > row["bytes"][1] == 6  # three levels, two bytes each
 
 
 @pytest.mark.slow
@@ -141,10 +138,8 @@ def test_presence_by_thresholds_chosen_on_the_other_scenes() -> None:
 SPANS = {  # along right, up and away
     "table": [(0, 2), (0.7, 0.75), (0, 1)],
     "mug": [(0.2, 0.3), (0.75, 0.85), (0.4, 0.5)],
-    "bowl": [(1.4, 1.8), (0.75, 0.9), (0.2, 0.6)],
-    "apple": [(1.5, 1.6), (0.8, 0.88), (0.3, 0.4)],
+    "bowl": [(1.4, 1.8), (0.75, 0.9), (0.6, 0.9)],
     "lamp": [(0.9, 1.1), (1.8, 2), (0.4, 0.6)],
-    "pen": [(0.31, 0.41), (0.75, 0.76), (0.4, 0.5)],
 }
 BOXES = {name: np.array(spans) for name, spans in SPANS.items()}
 
@@ -153,50 +148,33 @@ BOXES = {name: np.array(spans) for name, spans in SPANS.items()}
     ("one", "relation", "other", "truth"),
     [
         ("mug", "left of", "bowl", True), ("bowl", "left of", "mug", False), ("mug", "left of", "table", None),
-        ("bowl", "right of", "mug", True), ("apple", "in front of", "mug", None), ("mug", "behind", "apple", None),
+        ("mug", "in front of", "bowl", True), ("lamp", "in front of", "mug", False),
+        ("mug", "in front of", "lamp", None),
         ("mug", "on", "table", True), ("lamp", "on", "table", False), ("mug", "on", "bowl", False),
-        ("lamp", "above", "table", True), ("table", "above", "lamp", False), ("table", "under", "mug", True),
-        ("apple", "inside", "bowl", True), ("mug", "inside", "bowl", False), ("bowl", "inside", "apple", None),
-        ("pen", "near", "mug", True), ("mug", "near", "bowl", False),
+        ("lamp", "above", "table", True), ("table", "above", "lamp", False),
     ],
 )  # fmt: skip
 def test_relations_of_boxes(one, relation, other, truth) -> None:
-    assert is_true(relation, BOXES[one], BOXES[other], other) is truth
+    assert is_true(relation, BOXES[one], BOXES[other]) is truth
 
 
-def test_between_and_average_precision_by_hand() -> None:
-    assert is_between(BOXES["table"], BOXES["mug"], BOXES["bowl"]) is True
-    assert is_between(BOXES["mug"], BOXES["table"], BOXES["bowl"]) is False
-    assert is_between(BOXES["pen"], BOXES["mug"], BOXES["bowl"]) is None
+def test_average_precision_by_hand() -> None:
     overlaps = np.array([[0.9, 0.0], [0.8, 0.1], [0.0, 0.6], [0.0, 0.0]])  # the second finds the first again
     assert average_precision(overlaps, 0.5) == pytest.approx((1 + 2 / 3) / 2)
     assert average_precision(overlaps, 0.7) == pytest.approx(0.5)
     assert average_precision(np.zeros((0, 2)), 0.5) == 0
 
 
-def test_ranking_by_hand() -> None:
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_python")
+def test_times_of_archives() -> None:
     pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-    from benchmarks.archive import _ranking
+    from benchmarks.archive_times import ArchiveTimes
 
-    there = np.array([True, False, True])
-    assert _ranking(np.array([3.0, 2.0, 1.0]), there) == [pytest.approx((1 + 2 / 3) / 2), 1.0]
-
-
-@pytest.mark.data
-def test_simulated_scans_are_told_apart(data_folder: Path) -> None:
-    pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-    from benchmarks.archive import _figures, _summary
-    from benchmarks.archive_scans import World
-
-    world = World.open(data_folder)
-    first, scans = (world.simulate(KINDS["desk"], 6, seed=100) for _ in range(2))
-    for one, other in zip(first, scans, strict=True):
-        assert (one.table.embeddings == other.table.embeddings).all()
-    figures = _figures(world, scans)
-    assert figures["AUC"]["own"] > figures["AUC"]["cosine"] > 0.5
-    summary = _summary({"desk/100": figures})
-    assert summary["own"]["AP"][0] > 0.6
-    assert summary["own"]["place"][0] > summary["cosine"]["place"][0]
+    (row,) = ran(ArchiveTimes(things=(150,), scans=("table-0",), size=(3000, 96, 72, 6, 0)))["rows"].values()
+    assert row["things"] >= 150
+    assert row["scans"] >= 2
+    assert all(wall > 0 for wall, _ in row["seconds"].values())
 
 
 TINY = Gpu(n_gaussians=60, width=30, height=20, large=(32, 24), n_atoms=(8,), views=3, repeats=1)
@@ -221,14 +199,11 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the near plane")  # random Gaussians lie in front of it
-@pytest.mark.usefixtures("_on_a_cpu", "quick_python")
+@pytest.mark.usefixtures("_on_a_cpu")
 def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("benchmarks.gpu_rows.TESTS", TESTS[:1])
-    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "0")  # they run in one process, which starts at once
     monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
     rows = run(TINY, "gpu")["rows"]
     assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6
-    assert rows.pop("tests") == {"passed": 0, "failed": {}, "skipped": 1}
     assert rows.pop("answers of a scene, by the command line") == {"device": "cpu"}
     build = rows.pop("build")
     assert build["seconds"] >= build["stages"]["region sums"] > 0
@@ -252,7 +227,6 @@ def test_answers_of_two_fields_by_the_command_line() -> None:
 @pytest.mark.usefixtures("_on_a_cpu")
 def test_what_fails_is_a_row_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    monkeypatch.setattr(gpu, "KernelTests", lambda _: SimpleNamespace(row=dict))  # run above
     rows = dict(TINY.measure({}))
     assert rows[gpu.THEIRS]["reason"].startswith("ModuleNotFoundError")
     assert rows["RGB"]["median_s"] > 0

@@ -22,14 +22,14 @@ from scoup_lab.evaluate.protocols import lerf_ovs, threed_ovs
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 from scoup_lab.evaluate.protocols.selection import NEIGHBOURS, OPAQUE, THRESHOLD, score_scene, silhouette
-from scoup_lab.evaluate.scores import SceneScore, overall, scene_score
+from scoup_lab.evaluate.scores import SceneScore, overall
 from support import gaussians_at, make_camera, random_gaussians
 from uplift.edits import joined
 
 
 def scored(protocol: PixelProtocol, name: str, frames: Iterable[tuple[LabelledFrame, Tensor]]) -> SceneScore:
     pairs = [pair for frame, maps in frames for pair in protocol.score_frame(frame, maps)]
-    return scene_score(name, protocol.rule().name, pairs, protocol.title)
+    return SceneScore(name, protocol.rule().name, tuple(pairs), protocol.title)
 
 
 def square(label: str, x1: float, y1: float, x2: float, y2: float) -> dict:

@@ -17,11 +17,9 @@ import torch
 from torch import Tensor
 
 from messages import refuses
-from scoup import raster
 from scoup.base import UnknownNameError
 from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.query import build
-from scoup.scene import SparseCodes
 from scoup.uplift import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
@@ -48,7 +46,7 @@ from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison, comparison_table
 from scoup_lab.evaluate.studies.consistency import Consistency
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
-from support import small_scene, unit
+from support import small_scene
 
 LABELS = ("cup", "pot")
 OTHER_WORDS = (*(f"word {number}" for number in range(30)), *CANONICAL_PHRASES)
@@ -247,47 +245,6 @@ def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
     check_report(study.report(study.results(scenes), PROTOCOL.title, {}), tmp_path)
 
 
-def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
-    scene = scenes[0]
-    fitted = METHODS["dense"].fit(scene.rasterised)
-    rules = {level: ScoringRule(RULE, (level,)) for level in ("s", "m", "l")}
-    scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
-    peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
-    assert peaks[0] == peaks[1]
-    assert scores["all"].pairs == scene.scores(fitted, {"": ScoringRule(RULE)})[""].pairs
-
-
-def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:
-    """Each level is drawn from the Gaussians with a code alone; drawn with the others, these hide some of it."""
-    scene = scenes[0]
-    row = next(each for each in ABLATIONS if each.name.endswith("highest entropy, dropped from blending"))
-    fitted = row.method.fit(scene.rasterised, SETTINGS)
-    rules = {"kept": ScoringRule(RULE), "dropped": row.rule(RULE)}
-    assert isinstance(fitted, FittedField)
-    gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
-    for frame, camera in scene.labelled.frames:
-        maps = [scene.relevancy(fitted, frame, camera, (False, coded)) for coded in (False, True)]
-        queries, canonical = scene.vectors.of(frame.labels), scene.vectors.canonical
-        for level, coded in enumerate(fitted.coded()):
-            assert 0 < int(coded.sum()) < len(gaussians)
-            indices, weights = (
-                fitted.field.code_indices[coded, level],
-                fitted.field.code_weights[coded, level],
-            )
-            codes = SparseCodes(indices, weights.float(), codebook.shape[1])
-            projection = raster.project(gaussians.select(coded), camera)
-            image = raster.render_channels(projection, codes.to_dense() @ codebook[level])[0]
-            cosines = unit(image) @ torch.cat([queries, canonical]).T
-            expected = torch.sigmoid(10 * (cosines[..., :2, None] - cosines[..., None, 2:])).amin(-1)
-            expected[image.abs().sum(-1) == 0] = 0.5
-            torch.testing.assert_close(maps[1][level], expected.permute(2, 0, 1), atol=2e-3, rtol=0)
-            assert not torch.allclose(maps[0][level], maps[1][level], atol=1e-2)
-    scores = scene.scores(fitted, rules)
-    assert scores["kept"].pairs != scores["dropped"].pairs
-    with refuses():
-        scene.scores(METHODS["dense"].fit(scene.rasterised), rules)
-
-
 def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
     quick = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
     study = Consistency(SETTINGS.build, quick)
@@ -299,12 +256,7 @@ def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
 def test_rows_of_the_ablations_and_their_rules() -> None:
     rules = {each.name: each.rule(RULE) for each in ABLATIONS}
     assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
-    assert [name for name, rule in rules.items() if rule.coded] == [
-        "without the 50 % of highest entropy, dropped from blending",
-        "without the 50 % of lowest entropy, dropped from blending",
-    ]
     assert rules["level by mask"].mask_rule.level_choice == "mask"
-    assert rules["only level m"].levels == ("m",)
     assert rules["beside everyday words"].mask_rule == RULE
     names = [each.name for each in ABLATIONS]
     assert len(set(names)) == len(names)

@@ -30,8 +30,7 @@ from scoup.query import (
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
 LEAD = 0.5
-"""By how much a rank grows with the lead of a thing. Chosen on simulated archives (seeds 10 and 11) and four scenes of
-real models; ``python -m benchmarks archive`` reports others."""
+"""By how much a rank grows with the lead of a thing. Chosen on simulated archives and four scenes of real models."""
 SAME_PLACE = 0.5
 """Of two things that look like an image, the lower is left out if they share more of the Gaussians of one."""
 

@@ -49,7 +49,6 @@ class Method(Entry):
     follows: str = ""
     departs: str = ""
     pixels: PixelRule = ALL_PIXELS  # which pixels count for which Gaussians
-    views: float = 1.0  # share of the views that is used
     random: bool = True  # whether the result depends on the seed
     trained_by: Literal["", "autoencoder", "joint"] = ""  # the settings of its training, if it is trained
 
@@ -60,4 +59,4 @@ class Method(Entry):
 
     def fit(self, scene: RasterisedScene, settings: MethodSettings = DEFAULTS) -> FittedMethod:
         """Fit to a scene; the scene keeps region sums and codes for the next method."""
-        return self.uplift(scene.inputs(self.pixels, self.views, settings.progress), settings)
+        return self.uplift(scene.inputs(self.pixels, settings.progress), settings)

@@ -25,15 +25,6 @@ PRESETS = (
         AllPixels("auto"),
     ),
     Method(
-        "sparse-all",
-        SparseUplift(keep=0),
-        "SCOUP, as this package builds by default, no top-K",
-        "Sparse codes lifted by blending weights; all atoms of a Gaussian are kept.",
-        "Exact coding, 128 atoms, a second round, things, and region sums of at most 500 pixels; the paper has Adam, "
-        "64, one round and full size.",
-        AllPixels("auto"),
-    ),
-    Method(
         "sparse-64",
         SparseUplift(n_atoms=64, k=4, rounds=1, effort="best", things=False),
         "SCOUP, 64 atoms and one round",
@@ -125,7 +116,5 @@ BASELINES = (
 )
 METHODS = Registry("method", "scoup_lab.baselines", Method, (*PRESETS, *BASELINES))
 """By name."""
-COMPARED = tuple(
-    method.name for method in (*PRESETS, *BASELINES) if method.name not in ("sparse-all", "joint-codes")
-)
-"""Methods compared by default: without one that the ablations cover, and without the slowest."""
+COMPARED = tuple(method.name for method in (*PRESETS, *BASELINES) if method.name != "joint-codes")
+"""Methods compared by default: without the slowest."""

@@ -23,7 +23,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import InputError, Progress, no_progress
 from scoup.raster import ViewSums, merge
-from scoup.scene import Camera, Gaussians
+from scoup.scene import Camera
 from scoup.uplift import BuildSettings, RegionSums, cameras_with_regions, region_sums
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class PairRule(ABC):
         for done, camera in enumerate(views, start=1):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
             projection = raster.project(gaussians, camera, scene.raster_preset)
-            centres = centre_pixels(gaussians, camera)
+            centres = pixels_under(gaussians.means, camera)
             pixels = PixelWeights.joined([self(pairs, centres) for pairs in pixel_weights(projection)])
             sums.append(camera.name, _view_sums(self.of_view(pixels), labels), camera)
             progress("region sums", done, len(views))
@@ -110,7 +110,7 @@ class CentrePixel(PairRule):
 
 
 @dataclass(frozen=True)
-class VisibleInView(PairRule):
+class VisibleInView(CentrePixel):
     """The pixel under the centre, for the Gaussians that are seen best in a view by their weights there: the gate of
     VALA's public code (``GaussianModel.accumulate_gaussian_feature_per_view_robust``). Their paper describes a gate for
     each ray (arXiv 2509.05515); the code has one for the view.
@@ -126,9 +126,6 @@ class VisibleInView(PairRule):
     # clear, quantile: fixed in that code
     clear: float = 0.15
     quantile: float = 0.85
-
-    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
-        return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
 
     def of_view(self, pairs: PixelWeights) -> PixelWeights:
         count = len(pairs.weight)
@@ -176,17 +173,12 @@ def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME)
         yield PixelWeights(gaussian, pixel + top * width, weight)
 
 
-def centre_pixels(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """Return [N] int64: the pixel (row * width + column) under the projected centre of each Gaussian; -1
-    outside the image or behind the camera."""
-    means = gaussians.means.double().cpu()
-    places = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    in_front = torch.isfinite(places).all(1) & (places[:, 2] > 0)
-    depth = torch.where(in_front, places[:, 2], 1.0)
-    u = torch.where(in_front, camera.fx * places[:, 0] / depth + camera.cx, -1.0).floor()
-    v = torch.where(in_front, camera.fy * places[:, 1] / depth + camera.cy, -1.0).floor()
-    inside = in_front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return torch.where(inside, v * camera.width + u, -1.0).long().numpy()
+def pixels_under(points: Tensor, camera: Camera) -> np.ndarray:
+    """Return [N] int64: the pixel (row * width + column) that each point [N, 3] projects to; -1 outside the image or
+    behind the camera."""
+    shown = camera.shows(points)
+    columns, rows = torch.where(shown[:, None], camera.pixels(points)[0], 0.0).long().unbind(1)
+    return torch.where(shown, rows * camera.width + columns, -1).numpy()
 
 
 def _strongest_first(pairs: PixelWeights) -> tuple[np.ndarray, np.ndarray]:

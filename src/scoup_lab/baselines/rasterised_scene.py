@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
 from torch import Tensor
 
 from scoup.base import Progress, no_progress
@@ -38,7 +37,7 @@ class UpliftInputs:
     kept_codes: dict[BuildSettings, Codes] = field(default_factory=dict)
     # the things of these sums, once they are known
     kept_things: list[ThingTable] = field(default_factory=list)
-    # with the regions of these sums alone, for methods that render; None where only sums are at hand
+    # for methods that render; None where only sums are at hand
     scene: RasterisedScene | None = None
 
     def codes(self, settings: BuildSettings, progress: Progress = no_progress) -> Codes:
@@ -76,8 +75,7 @@ class RasterisedScene:
         self._preset = preset
         self._sums: dict[PixelRule, RegionSums] = {}
         self._seconds: dict[PixelRule, float] = {}
-        self._embeddings: dict[float, list[Tensor]] = {}  # by the share of the views, as the codes
-        self._codes: dict[float, dict[BuildSettings, Codes]] = {}
+        self._codes: dict[BuildSettings, Codes] = {}
 
     @cached_property
     def raster_preset(self) -> str:
@@ -98,28 +96,14 @@ class RasterisedScene:
         self.region_sums(pixels)
         return self._seconds[pixels]
 
-    def inputs(
-        self, pixels: PixelRule = ALL_PIXELS, views: float = 1.0, progress: Progress = no_progress
-    ) -> UpliftInputs:
-        """Return the inputs of a method from a share of the views, spread evenly."""
-        sums = self.region_sums(pixels, progress)
-        regions = self.regions if views == 1 else spread_views(self.regions, views)
-        if views not in self._embeddings:
-            self._embeddings[views] = [regions.embeddings(level)[0] for level in regions.levels]
-        if views != 1:
-            rows = [regions.embeddings(level)[1] for level in regions.levels]
-            sums = sums.select([name for name in sums.views if name in regions], rows)
-        scene = RasterisedScene(self.gaussians, self.cameras, regions, self.raster_preset)
-        return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene=scene)
+    @cached_property
+    def _embeddings(self) -> list[Tensor]:
+        return [self.regions.embeddings(level)[0] for level in self.regions.levels]
+
+    def inputs(self, pixels: PixelRule = ALL_PIXELS, progress: Progress = no_progress) -> UpliftInputs:
+        """Return the inputs of a method."""
+        return UpliftInputs(self.region_sums(pixels, progress), self._embeddings, self._codes, scene=self)
 
     def forget_codes(self) -> None:
         """Drop the codes learned so far: the next method learns its own."""
-        self._codes.clear()
-
-
-def spread_views(regions: Regions, share: float) -> Regions:
-    """Return the regions of a share of the views, spread evenly, at least one."""
-    names = regions.view_names
-    count = max(1, round(share * len(names)))
-    places = ((np.arange(count) + 0.5) * len(names) / count).astype(int)
-    return regions.select(names[index] for index in places)
+        self._codes = {}

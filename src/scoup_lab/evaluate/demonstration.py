@@ -107,9 +107,6 @@ def answered(field: LanguageField, scene: DemoScene) -> SceneScore:
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
     """Return one row per name, best IoU first."""
-    by_name: dict[str, list[PairScore]] = {}
-    for pair in result.score.pairs:
-        by_name.setdefault(pair.label, []).append(pair)
     rows = [
         NameRow(
             name,
@@ -118,6 +115,6 @@ def rows_by_name(result: DemoResult) -> list[NameRow]:
             mean(bool(pair.hit) for pair in pairs),
             dict(Counter(result.field.levels[pair.level] for pair in pairs)),
         )
-        for name, pairs in by_name.items()
+        for name, pairs in result.score.by_label().items()
     ]
     return sorted(rows, key=lambda row: -row.iou)

@@ -36,7 +36,7 @@ def names_to_show(result: DemoResult) -> list[str]:
 
 
 def _median_pair(result: DemoResult, name: str) -> PairScore:
-    pairs = sorted((pair for pair in result.score.pairs if pair.label == name), key=lambda pair: pair.iou)
+    pairs = sorted(result.score.by_label()[name], key=lambda pair: pair.iou)
     return pairs[len(pairs) // 2]
 
 

@@ -12,14 +12,7 @@ from scoup.base import InputError, Progress, no_progress, reserved_output
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.query import LanguageField
 from scoup.scene import Gaussians
-from scoup.uplift import (
-    BuildSettings,
-    FieldSources,
-    build,
-    cameras_with_regions,
-    embedding_source,
-    open_sums,
-)
+from scoup.uplift import BuildSettings, FieldSources, build, cameras_with_regions, embedding_source, open_sums
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scenes import SceneFiles
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import mean
 
 from torch import Tensor
 
@@ -20,12 +21,8 @@ MOST = 6  # queries on a sheet
 
 def worst_pairs(score: SceneScore) -> list[PairScore]:
     """Return the worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
-    by_label: dict[str, list[PairScore]] = {}
-    for pair in score.pairs:
-        by_label.setdefault(pair.label, []).append(pair)
-    ranked = sorted(
-        by_label, key=lambda label: (sum(p.iou for p in by_label[label]) / len(by_label[label]), label)
-    )
+    by_label = score.by_label()
+    ranked = sorted(by_label, key=lambda label: (mean(pair.iou for pair in by_label[label]), label))
     return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:MOST]]
 
 
@@ -62,7 +59,6 @@ def failure_sheet(
             heat_map(relevancy[answer.level], rgb, "relevancy", level, answer.score),
             mask_overlay(answer.mask, rgb, None, point, "found", f"IoU {pair.iou:.2f}"),
         ]
-    count = len({pair.label for pair in score.pairs})
-    heading = f"{score.scene}: the worst {len(worst)} of {count} queries; scene mIoU {score.miou:.2f}"
+    heading = f"{score.scene}: the worst {len(worst)} of {len(score.by_label())} queries; scene mIoU {score.miou:.2f}"
     footer = f"Protocol: {score.protocol}. Each query in the frame answered worst."
     return contact_sheet(tiles, columns=3, width=1200, heading=heading, footer=footer)

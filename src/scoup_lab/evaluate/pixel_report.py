@@ -49,12 +49,8 @@ class PixelScores:
 def overall_table(scores: PixelScores) -> Table:
     """Return our row with its intervals, then the published rows; in percent."""
     localizes = scores.localizes
-    headers = ["system", "source", "mIoU", "95 % interval"]
-    headers += ["localisation", "95 % interval"] if localizes else []
-    row = [f"{OURS} ({scores.system} rules)", "measured", *miou_interval(scores.scenes).percent()]
-    interval = accuracy_interval(scores.scenes)
-    row += interval.percent() if interval is not None else []
-    rows = [tuple(row)]
+    headers = ("system", "source", *_score_heads(localizes))
+    rows = [(f"{OURS} ({scores.system} rules)", "measured", *_score_cells(scores.scenes))]
     for other in scores.published:
         cells = [other.system, "published", _figure(other.miou), "-"]
         cells += [_figure(other.accuracy), "-"] if localizes else []
@@ -68,21 +64,23 @@ def overall_table(scores: PixelScores) -> Table:
     title = (
         f"{scores.protocol}: {counted(len(scores.scenes), 'scene')}, {counted(count, '(frame, label) pair')}"
     )
-    return Table(title, tuple(headers), tuple(rows), tuple(notes))
+    return Table(title, headers, tuple(rows), tuple(notes))
 
 
 def scene_table(scores: PixelScores) -> Table:
     """Return one row per scene."""
-    localizes = scores.localizes
-    headers = ["scene", "pairs", "mIoU", "95 % interval"]
-    headers += ["localisation", "95 % interval"] if localizes else []
-    rows = []
-    for scene in scores.scenes:
-        cells = [scene.scene, str(len(scene.pairs)), *miou_interval([scene]).percent()]
-        interval = accuracy_interval([scene])
-        cells += interval.percent() if interval is not None else []
-        rows.append(tuple(cells))
-    return Table(f"{scores.protocol}: by scene", tuple(headers), tuple(rows))
+    headers = ("scene", "pairs", *_score_heads(scores.localizes))
+    rows = [(scene.scene, str(len(scene.pairs)), *_score_cells([scene])) for scene in scores.scenes]
+    return Table(f"{scores.protocol}: by scene", headers, tuple(rows))
+
+
+def _score_heads(localizes: bool) -> list[str]:
+    return ["mIoU", "95 % interval", *(["localisation", "95 % interval"] if localizes else [])]
+
+
+def _score_cells(scenes: Sequence[SceneScore]) -> list[str]:
+    accuracy = accuracy_interval(scenes)
+    return [*miou_interval(scenes).percent(), *(() if accuracy is None else accuracy.percent())]
 
 
 def published_table(scores: PixelScores) -> Table:
@@ -124,9 +122,6 @@ def query_table(scores: PixelScores, levels: Sequence[str] = ()) -> Table:
 
 def query_records(scene: SceneScore) -> list[dict[str, Any]]:
     """Return per query of a scene frames, mean IoU, share of hits, how often each level answered; worst first."""
-    by_label: dict[str, list] = {}
-    for pair in scene.pairs:
-        by_label.setdefault(pair.label, []).append(pair)
     records = [
         {
             "query": label,
@@ -135,7 +130,7 @@ def query_records(scene: SceneScore) -> list[dict[str, Any]]:
             "accuracy": mean(bool(pair.hit) for pair in pairs) if scene.localizes else None,
             "levels": Counter(pair.level for pair in pairs).most_common(),
         }
-        for label, pairs in by_label.items()
+        for label, pairs in scene.by_label().items()
     ]
     return sorted(records, key=lambda record: (record["miou"], record["query"]))
 

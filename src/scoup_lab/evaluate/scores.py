@@ -44,9 +44,20 @@ class SceneScore:
     # whose rules were followed; scores of different protocols cannot be set side by side
     protocol: str = "lerf-ovs 2D"
 
+    def __post_init__(self) -> None:
+        if not self.pairs:
+            raise InputError(f"scene {self.scene!r}: there are no labels to score")
+
     @property
     def miou(self) -> float:
         return sum(pair.iou for pair in self.pairs) / len(self.pairs)
+
+    def by_label(self) -> dict[str, list[PairScore]]:
+        """Return the pairs of each label."""
+        found: dict[str, list[PairScore]] = {}
+        for pair in self.pairs:
+            found.setdefault(pair.label, []).append(pair)
+        return found
 
     @property
     def localizes(self) -> bool:
@@ -76,14 +87,6 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
     if not all(scene.localizes for scene in scenes):
         return miou, None
     return miou, sum(scene.accuracy for scene in scenes) / len(scenes)
-
-
-def scene_score(scene: str, rule: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
-    """Return all pairs of a scene."""
-    pairs = tuple(pairs)
-    if not pairs:
-        raise InputError(f"scene {scene!r}: there are no labels to score")
-    return SceneScore(scene, rule, pairs, protocol)
 
 
 def miou_interval(scenes: Sequence[SceneScore]) -> Interval:

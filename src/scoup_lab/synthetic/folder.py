@@ -45,11 +45,7 @@ Build and query:
 """
 
 
-def write_demo_scene(
-    scene: DemoScene,
-    folder: str | Path,
-    progress: Progress = no_progress,
-) -> Path:
+def write_demo_scene(scene: DemoScene, folder: str | Path, progress: Progress = no_progress) -> Path:
     """Write a scene so that ``scoup build FOLDER`` works on it; ``NOTE`` says what lies where.
 
     ``progress`` is called for the stage "render".

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from scoup.base import InputError
 from scoup.scene import LEVELS, SH_C0, Camera, Cameras, Gaussians, RegionMap, Regions, index_dtype
+from scoup_lab.synthetic.words import unit
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -59,11 +60,11 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
             normals[rows] = normals_of[number]
         else:
             ball = balls[number - len(corners)]
-            normals[rows] = _unit(rng.normal(size=(count, 3)))
+            normals[rows] = unit(rng.normal(size=(count, 3)))
             means[rows] = ball[:3] + ball[3] * normals[rows]
     haze = slice(on_surfaces, n_gaussians)
     means[haze] = rng.random((n_gaussians - on_surfaces, 3)) * SIZE
-    normals[haze] = _unit(rng.normal(size=(n_gaussians - on_surfaces, 3)))
+    normals[haze] = unit(rng.normal(size=(n_gaussians - on_surfaces, 3)))
     spacing[haze] = np.median(spacing[:on_surfaces]) * 1.5
     surface[haze] = len(share)
     means += normals * rng.normal(0, 0.004, (n_gaussians, 1))
@@ -113,13 +114,9 @@ def _turned_to(normals: Array, rng: np.random.Generator) -> Array:
     from scipy.spatial.transform import Rotation
 
     tangent = rng.normal(size=normals.shape)
-    tangent = _unit(tangent - normals * (tangent * normals).sum(1, keepdims=True))
+    tangent = unit(tangent - normals * (tangent * normals).sum(1, keepdims=True))
     axes = np.stack([tangent, np.cross(normals, tangent), normals], -1)
     return np.asarray(Rotation.from_matrix(axes).as_quat())[:, [3, 0, 1, 2]]
-
-
-def _unit(rows: Array) -> Array:
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 def random_scene_cameras(n_views: int, width: int = WIDTH, height: int = HEIGHT) -> Cameras:

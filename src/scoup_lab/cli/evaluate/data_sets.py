@@ -92,10 +92,7 @@ class OfPixels(Evaluated):
         from scoup_lab.evaluate.protocols import PIXELS
 
         return PixelEvaluation(
-            protocol=PIXELS[self.protocol],
-            rules=self.rules,
-            selection=self.selection,
-            **self.shared(),
+            protocol=PIXELS[self.protocol], rules=self.rules, selection=self.selection, **self.shared()
         )
 
     def made(self) -> str:

@@ -73,8 +73,8 @@ class Baselines(StudyVerb):
     """
 
     methods: Names = ()
-    """Methods to run; repeat it for several. Default: all but sparse-all and joint-codes; the latter takes
-    tens of minutes a scene."""
+    """Methods to run; repeat it for several. Default: all but joint-codes, which takes tens of minutes a
+    scene."""
     seed: int = 0
     """Random seed."""
     selection: bool = False
@@ -97,12 +97,12 @@ class Baselines(StudyVerb):
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyVerb):
     """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver,
-    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
+    the choice of the level, everyday words; at least three codebook seeds each.
     """
 
     groups: Names = ()
-    """Groups of rows: vote, atoms, non-zeros, entropy, solver, levels, phrases, views; repeat it for
-    several. Default: all. The base is always run."""
+    """Groups of rows: vote, atoms, non-zeros, entropy, solver, levels, phrases; repeat it for several.
+    Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of the codebook; scores are means over them."""
 

@@ -20,8 +20,7 @@ class Synthetic:
     """
 
     data_set: Annotated[
-        tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360", "scannet"]],
-        arg(metavar="LAYOUT"),
+        tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360", "scannet"]], arg(metavar="LAYOUT")
     ]
     """Data set whose layout is used: lerf-ovs, 3d-ovs, mipnerf360 or scannet."""
     root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]

@@ -62,11 +62,7 @@ class PixelProtocol(Entry):
         return LabelledScene(**vars(files), protocol=self, frames=matched)
 
     def score_frame(
-        self,
-        frame: LabelledFrame,
-        maps: Tensor,
-        rule: MaskRule | None = None,
-        levels: Sequence[str] = LEVELS,
+        self, frame: LabelledFrame, maps: Tensor, rule: MaskRule | None = None, levels: Sequence[str] = LEVELS
     ) -> list[PairScore]:
         """Score each label of a frame by its relevancy ``maps`` [S, Q, H, W] in 0..1, labels in the frame's order, at
         levels of these names; the truth is brought to the size of the maps by nearest neighbour."""

@@ -21,7 +21,7 @@ from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
-from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
+from scoup_lab.evaluate.scores import PairScore, SceneScore
 
 PROTOCOL = "3D selection"
 
@@ -96,7 +96,7 @@ def score_scene(
             # A selection that shows nothing scores 0, even where the truth is empty too.
             score = iou(shape, truth.masks[label]) if shape.any() else 0.0
             pairs.append(PairScore(frame.name, label, score, None, -1, float("nan"), None))
-    return scene_score(scene, RULE, pairs, PROTOCOL)
+    return SceneScore(scene, RULE, tuple(pairs), PROTOCOL)
 
 
 def score_method(

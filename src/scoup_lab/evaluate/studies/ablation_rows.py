@@ -36,7 +36,6 @@ class Ablation:
 
 BASE = METHODS["sparse-64"]
 BESIDE_EVERYDAY = partial(ScoringRule, everyday=True)
-CODED_ALONE = partial(ScoringRule, coded=True)
 
 
 def by_mask(rule: MaskRule) -> ScoringRule:
@@ -44,17 +43,8 @@ def by_mask(rule: MaskRule) -> ScoringRule:
     return ScoringRule(replace(rule, level_choice="mask"))
 
 
-def only_level(name: str) -> Callable[[MaskRule], ScoringRule]:
-    """Return the rule of the protocol with one level that answers."""
-    return partial(ScoringRule, levels=(name,))
-
-
 def _changed(
-    name: str,
-    group: str,
-    dropped: Half | None = None,
-    published: str = "",
-    **changes: int,
+    name: str, group: str, dropped: Half | None = None, published: str = "", **changes: int
 ) -> Ablation:
     """Return a row with other codes or another vote than the base."""
     of_base = {"n_atoms": 64, "k": 4, "rounds": 1, "effort": "best"}
@@ -63,10 +53,6 @@ def _changed(
 
 
 _CALM, _TORN = "without the 50 % of highest entropy", "without the 50 % of lowest entropy"
-_WITHOUT = (
-    _changed(_CALM, "entropy", dropped="highest", published=_CALM),
-    _changed(_TORN, "entropy", dropped="lowest", published=_TORN),
-)
 ABLATIONS: tuple[Ablation, ...] = (
     Ablation("base: L=64, K=4, top-K", "vote", BASE, published="top-K (L=64, K=4)"),
     Ablation("dense uplift", "vote", METHODS["dense"], published="dense uplift"),
@@ -76,17 +62,11 @@ ABLATIONS: tuple[Ablation, ...] = (
     _changed("L=128", "atoms", published="L=128", n_atoms=128),
     _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
     _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
-    *_WITHOUT,
-    *(replace(row, name=f"{row.name}, dropped from blending", rule=CODED_ALONE) for row in _WITHOUT),
+    _changed(_CALM, "entropy", dropped="highest", published=_CALM),
+    _changed(_TORN, "entropy", dropped="lowest", published=_TORN),
     Ablation("Adam", "solver", METHODS["paper"]),
-    Ablation("only level s", "levels", BASE, only_level("s")),
-    Ablation("only level m", "levels", BASE, only_level("m")),
-    Ablation("only level l", "levels", BASE, only_level("l")),
     Ablation("level by mask", "levels", BASE, by_mask),
     Ablation("beside everyday words", "phrases", BASE, BESIDE_EVERYDAY),
-    Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
-    Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
-    Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),
 )
 
 

@@ -134,7 +134,7 @@ class Comparison(Study[MethodResult]):
 
     def _result(self, scene: StudyScene, method: Method, progress: Progress) -> MethodResult:
         rasterised = scene.rasterised
-        rasterised.inputs(method.pixels, method.views, progress)  # not part of the fit
+        rasterised.inputs(method.pixels, progress)  # not part of the fit
         rasterised.forget_codes()  # each method pays for its own
         clock = Stopwatch()
         fitted = clock("fit", method.fit, rasterised, replace(self.settings, progress=progress))

@@ -74,9 +74,7 @@ def consistency(
     network = fit_autoencoder(torch.cat([rows for rows, _ in embeddings.values()]), autoencoder, seed)
     results = []
     for level, (rows, of_views) in embeddings.items():
-        labels = _labels_of(first + second, cameras, regions, level, of_views)
-        one = np.array([labels[observation] for observation in first])
-        other = np.array([labels[observation] for observation in second])
+        one, other = np.split(_labels_of(first + second, cameras, regions, level, of_views), 2)
         both = (one >= 0) & (other >= 0)
         if not both.any():
             continue
@@ -149,22 +147,14 @@ def _labels_of(
     regions: Regions,
     level: str,
     of_views: dict[str, slice],
-) -> dict[Observation, int]:
+) -> np.ndarray:
     """Return the row of the stacked embeddings of each observation; -1 where there is no region."""
-    by_view: dict[str, list[int]] = {}
-    for view, pixel in observations:
-        by_view.setdefault(view, []).append(pixel)
-    labels = {}
-    for view, pixels in by_view.items():
-        if view not in of_views:
-            labels |= dict.fromkeys(((view, pixel) for pixel in pixels), -1)
-            continue
+    maps = {}
+    for view in {view for view, _ in observations} & of_views.keys():
         camera = cameras[view]
-        image = regions.load(view, level).resized(camera.width, camera.height).labels.flatten()
-        values = image[torch.tensor(pixels)].tolist()
-        start = of_views[view].start
-        labels |= {(view, p): v + start if v >= 0 else -1 for p, v in zip(pixels, values, strict=True)}
-    return labels
+        labels = regions.load(view, level).resized(camera.width, camera.height).labels.flatten()
+        maps[view] = torch.where(labels >= 0, labels + of_views[view].start, -1).tolist()
+    return np.array([maps[view][pixel] if view in maps else -1 for view, pixel in observations], np.int64)
 
 
 def consistency_table(results: Sequence[ConsistencyResult]) -> Table:

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from scoup import raster
 from scoup.base import MissingFileError
 from scoup.io import read_tracks
 from scoup.scene import Camera, Cameras, Gaussians
-from scoup_lab.baselines.pixel_rules import centre_pixels, pixel_weights
+from scoup_lab.baselines.pixel_rules import pixel_weights, pixels_under
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 
 DOMINANT = 0.5  # of a pixel's weight: a Gaussian that contributes this much is what one sees there
@@ -56,8 +54,8 @@ def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
         track = []
         for name in names:
             camera = known.get(name) or stems.get(Path(name).name.split(".", 1)[0])
-            pixel = None if camera is None else _pixel(position, camera)
-            if camera is not None and pixel is not None:
+            pixel = -1 if camera is None else int(pixels_under(position[None], camera)[0])
+            if camera is not None and pixel >= 0:
                 track.append((camera.name, pixel))
         if len(track) > 1:
             points.append(track)
@@ -70,19 +68,9 @@ def dominant_gaussians(
     """Return Gaussians in the views where they contribute more than half of the pixel under their centre."""
     seen: dict[int, list[Observation]] = {}
     for camera in cameras:
-        centres = centre_pixels(gaussians, camera)
+        centres = pixels_under(gaussians.means, camera)
         for pairs in pixel_weights(raster.project(gaussians, camera, raster_preset)):
             chosen = pairs.kept((centres[pairs.gaussian] == pairs.pixel) & (pairs.weight > DOMINANT))
             for gaussian, pixel in zip(chosen.gaussian.tolist(), chosen.pixel.tolist(), strict=True):
                 seen.setdefault(gaussian, []).append((camera.name, pixel))
     return Matches("Gaussians", [track for _, track in sorted(seen.items()) if len(track) > 1])
-
-
-def _pixel(position: Tensor, camera: Camera) -> int | None:
-    x, y, z = (camera.viewmat[:3, :3] @ position.double() + camera.viewmat[:3, 3]).tolist()
-    if not z > 0:
-        return None
-    column, row = int(np.floor(camera.fx * x / z + camera.cx)), int(np.floor(camera.fy * y / z + camera.cy))
-    if not (0 <= column < camera.width and 0 <= row < camera.height):
-        return None
-    return row * camera.width + column
