@@ -8,6 +8,7 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,8 @@ def find_things(
     progress("things", len(embeddings), len(embeddings))
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            strays = list(pool.map(lambda of_level: _drop_strays(sums, of_level, entries.total), owners.T))
     return FoundThings(_number_things(of_levels, owners), strays)
 
 
@@ -193,11 +195,13 @@ def mean_embeddings(
     """
     from scipy.sparse import csr_array
 
+    members = np.flatnonzero(member >= 0)  # few: not all views decide
     # Rounded as they are kept beside region sums, where updates read them.
-    rows = normalise_embeddings(embeddings.cpu().half().float()).double().numpy()
-    members = np.flatnonzero((member >= 0) & rows.any(1))
+    rows = normalise_embeddings(embeddings[members].cpu().half().float()).double().numpy()
+    there = rows.any(1)
+    rows, members = rows[there], members[there]
     weights = np.sqrt(mass[members].astype(np.float64))
-    summed = csr_array((weights, (member[members], members)), (count, len(rows))) @ rows
+    summed = csr_array((weights, (member[members], np.arange(len(rows)))), (count, len(rows))) @ rows
     total = np.bincount(member[members], weights, count)
     norm = np.linalg.norm(summed, axis=1)
     agreement = np.divide(norm, total, out=np.ones(count), where=total > 0).clip(0, 1)
@@ -278,10 +282,11 @@ def find_strays(
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))
     if not len(members):
         return strays
-    members = members[np.argsort(owners[members], kind="stable")]
-    things, starts, thing = np.unique(owners[members], return_index=True, return_inverse=True)
+    members = members[np.argsort(owners[members].astype(np.uint16), kind="stable")]  # two bytes: a radix sort
+    starts = np.flatnonzero(np.diff(owners[members], prepend=-1))
     points, weights = means[members].astype(np.float64), weights[members]
     ends = np.append(starts[1:], len(members))
+    thing = np.repeat(np.arange(len(starts)), ends - starts)
     places = [_place(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
     middles, sizes = np.array([middle for middle, _ in places]), np.array([size for _, size in places])
     edges = sizes * np.maximum(1 / constants.PER_SIZE, constants.SPACING / np.sqrt(ends - starts))
@@ -293,7 +298,7 @@ def find_strays(
     weight = np.bincount(component, weights)
     of_component = np.zeros(len(weight), np.int64)
     of_component[component] = thing
-    body = np.zeros(len(things))
+    body = np.zeros(len(starts))
     np.maximum.at(body, of_component, weight)
     strays[members] = (weight < constants.KEPT * body[of_component])[component]
     return strays
