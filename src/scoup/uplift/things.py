@@ -60,7 +60,7 @@ def find_things(
     if sums.rows is None:
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
-    entries = _keep_large_gaussians(_strong_entries(sums, names))
+    entries = _strong_entries(sums, names)
     of_levels: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
@@ -95,7 +95,8 @@ class _StrongEntries:
 
 
 def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
-    """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order."""
+    """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order, but for
+    those that contribute little."""
     count = sums.n_gaussians
     assert sums.rows is not None
     deciding = [(name, item, *_deciding(item, count)) for name in names for item in sums.views[name].parts]
@@ -106,10 +107,11 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
             distinct = gaussians[starts]
             total[distinct] += np.add.reduceat(weights.astype(np.float64), starts)
             largest[distinct] = np.maximum(largest[distinct], np.maximum.reduceat(weights, starts))
+    least = np.where(_decide(total), constants.LEAST_SHARE * largest, np.float32(np.inf))
     triplets = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
     for name, entries, gaussians, weights, combinations in deciding:
         firsts = np.array([rows[name].start for rows in sums.rows])
-        strong = np.flatnonzero((weights >= constants.LEAST_SHARE * largest[gaussians]) & (weights > 0))
+        strong = np.flatnonzero((weights >= least[gaussians]) & (weights > 0))
         table = np.where(entries.table >= 0, entries.table + firsts, -1).astype(np.int32)
         triplets.append((gaussians[strong], table[combinations[strong]], weights[strong]))
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*triplets, strict=True))
@@ -124,17 +126,14 @@ def _deciding(sums: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.
     return gaussians[chosen], sums.weights[chosen].astype(np.float32), sums.combinations[chosen]
 
 
-def _keep_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
-    """Drop the entries of Gaussians that contribute little."""
-    order = np.argsort(-entries.total, kind="stable")
-    mass = np.cumsum(entries.total[order])
-    decides = np.zeros(len(entries.total), bool)
+def _decide(total: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return [N] whether a Gaussian that contributes ``total`` [N] is one of the largest, which decide."""
+    order = np.argsort(-total, kind="stable")
+    mass = np.cumsum(total[order])
+    decides = np.zeros(len(total), bool)
     if len(mass) and mass[-1] > 0:
         decides[order[: int(np.searchsorted(mass, constants.MASS * mass[-1])) + 1]] = True
-    chosen = decides[entries.gaussians]
-    return _StrongEntries(
-        entries.gaussians[chosen], entries.regions[chosen], entries.weights[chosen], entries.total
-    )
+    return decides
 
 
 def _by_region(entries: _StrongEntries, level: int, n_regions: int) -> Matrix:
