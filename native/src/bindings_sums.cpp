@@ -71,7 +71,7 @@ class BoundVote {
         else
             out.indices16 = data_of<uint16_t>(indices, "indices", {n, levels, k});
         std::optional<EarlierCodes> known;
-        if (earlier) known = earlier_of(*earlier);
+        if (earlier) known = earlier_of(*earlier, first, last);
         without_lock([&] {
             vote_.round(out, known ? &*known : nullptr, unit_norm, first, last, sane(threads), python_signals());
         });
@@ -79,7 +79,7 @@ class BoundVote {
 
     nb::list deviations(const EarlierArrays& earlier, int64_t first, int64_t last, int threads) const {
         check_range(first, last);
-        const EarlierCodes known = earlier_of(earlier);
+        const EarlierCodes known = earlier_of(earlier, first, last);
         const auto found =
             without_lock([&] { return vote_.deviations(known, first, last, sane(threads), python_signals()); });
         nb::list all;
@@ -104,7 +104,7 @@ class BoundVote {
             if (indices.ndim() != 2) throw std::invalid_argument("code indices must be [regions, k]");
             const auto rows = int64_t(indices.shape(0)), k = int64_t(indices.shape(1));
             if (k > kMostKept) throw std::invalid_argument("codes of too many entries");
-            const Indices atoms = code_indices(indices, "code indices", {rows, k}, int32_t(n_atoms));
+            const Indices atoms = code_indices(indices, "code indices", {rows, k}, int32_t(n_atoms), 0, rows * k);
             codes.push_back({atoms.bytes, atoms.wide, data_of<float>(weights, "code weights", {rows, k}), rows, int32_t(k)});
         }
         std::vector<ViewSums> views;
@@ -122,13 +122,16 @@ class BoundVote {
         return {n, int32_t(n_atoms), std::move(views), codes, grams};
     }
 
-    EarlierCodes earlier_of(const EarlierArrays& arrays) const {
+    // Buckets first .. last - 1 are those that are read.
+    EarlierCodes earlier_of(const EarlierArrays& arrays, int64_t first, int64_t last) const {
         const auto& [indices, weights, sharpness] = arrays;
         const int64_t n = vote_.n_gaussians(), levels = vote_.levels();
         if (indices.ndim() != 3 || indices.shape(2) > size_t(kMostKept))
             throw std::invalid_argument("earlier indices must be [N, levels, k]");
         const auto k = int64_t(indices.shape(2));
-        const Indices atoms = code_indices(indices, "earlier indices", {n, levels, k}, vote_.n_atoms());
+        const int64_t begin = std::min(first * kVoteBucket, n), end = std::min(last * kVoteBucket, n);
+        const Indices atoms = code_indices(indices, "earlier indices", {n, levels, k}, vote_.n_atoms(),
+                                           begin * levels * k, (end - begin) * levels * k);
         return {atoms.bytes, atoms.wide, data_of<float>(weights, "earlier weights", {n, levels, k}), int32_t(k),
                 data_of<float>(sharpness, "sharpness", {levels})};
     }

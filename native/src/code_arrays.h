@@ -20,22 +20,22 @@ void check_indices(const Index* indices, int64_t count, int32_t n_atoms) {
         throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
 }
 
-// Code indices of one byte, or else of two; the other pointer is null. `n_atoms`: what they are checked against.
+// Code indices of one byte, or else of two; the other pointer is null.
 struct Indices {
     const uint8_t* bytes = nullptr;
     const uint16_t* wide = nullptr;
 };
 
-inline Indices code_indices(const Array& indices, const char* name, std::initializer_list<int64_t> shape, int32_t n_atoms) {
-    int64_t count = 1;
-    for (const int64_t size : shape) count *= size;
+// Of `count` from the `first` on it is checked that there are such atoms.
+inline Indices code_indices(const Array& indices, const char* name, std::initializer_list<int64_t> shape, int32_t n_atoms,
+                            int64_t first, int64_t count) {
     Indices found;
     if (indices.dtype() == nanobind::dtype<uint8_t>()) {
         found.bytes = data_of<uint8_t>(indices, name, shape);
-        if (n_atoms < 256) check_indices(found.bytes, count, n_atoms);
+        if (n_atoms < 256) check_indices(found.bytes + first, count, n_atoms);
     } else {
         found.wide = data_of<uint16_t>(indices, name, shape);
-        if (n_atoms < 65536) check_indices(found.wide, count, n_atoms);
+        if (n_atoms < 65536) check_indices(found.wide + first, count, n_atoms);
     }
     return found;
 }

@@ -120,7 +120,8 @@ class Vote::Worker {
         const Piece* last = vote_.pieces_.data() + vote_.first_piece_[size_t(bucket) + 1];
         for (const Piece* piece = first; piece < last; ++piece) {
             const ViewSums& view = vote_.views_[piece->view];
-            for (int64_t i = view.starts[piece->at]; i < view.starts[piece->at + 1]; ++i) ++starts_[size_t(view.places[i]) + 1];
+            const uint32_t start = view.starts[piece->at], end = view.starts[piece->at + 1];
+            for (uint32_t i = start; i < end; ++i) ++starts_[size_t(view.places[i]) + 1];
         }
         for (size_t g = 0; g < size_t(kVoteBucket); ++g) starts_[g + 1] += starts_[g];
         if (starts_[size_t(count_)] != starts_.back()) refuse("there is no such Gaussian");
@@ -137,7 +138,7 @@ class Vote::Worker {
     void sum_up(int64_t place, const EarlierCodes& earlier, int64_t gaussian) {
         const int64_t n = entries_in(place);
         if (n == 0) return;
-        factors_.resize(std::max(factors_.size(), size_t(n * vote_.levels() + 16)));
+        factors_.resize(std::max(factors_.size(), size_t((n + 16) * vote_.levels())));
         kernels_.add_reweighted(entries_of(place), n, codes_, known(earlier, gaussian), factors_.data(), sums_.data());
     }
 

@@ -47,46 +47,56 @@ template <int K>
 void add_reweighted_codes(const VoteEntry* entries, int64_t count, const CombinationCodes& codes,
                           const EarlierGaussian& earlier, float* factors, float* sums) {
     const int32_t levels = codes.levels;
-    float* factor = factors;
+    const int64_t stride = (count + kLanes - 1) / kLanes * kLanes;  // from level to level
     for (int64_t i = 0; i < count; ++i) {
         fetch(entries, i, count, codes);
+        if (i + kAhead < count)
+            __builtin_prefetch(codes.inverse_norms + int64_t(entries[i + kAhead].combination) * levels);
         const Share* share = codes.shares + int64_t(entries[i].combination) * codes.k_of_all;
         const float* inverse_norms = codes.inverse_norms + int64_t(entries[i].combination) * levels;
         for (int32_t level = 0; level < levels; ++level) {
-            const float cosine = cosine_of(share, k_of<K>(codes, level), earlier.products, inverse_norms[level]);
+            factors[level * stride + i] = cosine_of(share, k_of<K>(codes, level), earlier.products, inverse_norms[level]);
             share += k_of<K>(codes, level);
-            *factor++ = earlier.is_coded[level] && cosine < 1.0f ? earlier.sharpness[level] * (cosine - 1.0f) : 0.0f;
         }
     }
-    for (int64_t i = 0; i < count * levels; i += kLanes) {
-        const Floats power = larger(load(factors + i) * kLog2E, all(-126.0f));
-        store(factors + i, larger(exp2(power), all(kLeastAgreement)));
+    // Without branches: many cosines are 1, more or less.
+    for (int32_t level = 0; level < levels; ++level) {
+        const Floats sharpness = all(earlier.is_coded[level] ? earlier.sharpness[level] : 0.0f);
+        for (float *factor = factors + level * stride, *end = factor + stride; factor < end; factor += kLanes) {
+            const Floats below = sharpness * (smaller(load(factor), all(1.0f)) - all(1.0f));
+            const Floats power = larger(below * kLog2E, all(-126.0f));
+            store(factor, larger(exp2(power), all(kLeastAgreement)));
+        }
     }
-    factor = factors;
     for (int64_t i = 0; i < count; ++i) {
         const Share* share = codes.shares + int64_t(entries[i].combination) * codes.k_of_all;
         for (int32_t level = 0; level < levels; ++level) {
-            const float weight = entries[i].weight * *factor++;
+            const float weight = entries[i].weight * factors[level * stride + i];
             for (int32_t j = 0; j < k_of<K>(codes, level); ++j, ++share) sums[share->place] += weight * share->weight;
         }
     }
 }
 
-constexpr int32_t kUsual = 4;  // entries of a code
+constexpr int32_t kUsual = 4;  // entries of a code; 1 where regions vote for things
 
-bool all_usual(const CombinationCodes& codes) {
+bool all_have(int32_t k, const CombinationCodes& codes) {
     for (int32_t level = 0; level < codes.levels; ++level)
-        if (codes.k[level] != kUsual) return false;
+        if (codes.k[level] != k) return false;
     return true;
 }
 
 void add(const VoteEntry* entries, int64_t count, const CombinationCodes& codes, float* sums) {
-    all_usual(codes) ? add_codes<kUsual>(entries, count, codes, sums) : add_codes<0>(entries, count, codes, sums);
+    if (all_have(kUsual, codes))
+        add_codes<kUsual>(entries, count, codes, sums);
+    else if (all_have(1, codes))
+        add_codes<1>(entries, count, codes, sums);
+    else
+        add_codes<0>(entries, count, codes, sums);
 }
 
 void add_reweighted(const VoteEntry* entries, int64_t count, const CombinationCodes& codes, const EarlierGaussian& earlier,
                     float* factors, float* sums) {
-    if (all_usual(codes))
+    if (all_have(kUsual, codes))
         add_reweighted_codes<kUsual>(entries, count, codes, earlier, factors, sums);
     else
         add_reweighted_codes<0>(entries, count, codes, earlier, factors, sums);

@@ -43,7 +43,7 @@ struct EarlierGaussian {
 struct VoteKernels {
     // sums [levels, n_atoms] += weights times codes.
     void (*add)(const VoteEntry* entries, int64_t count, const CombinationCodes& codes, float* sums);
-    // The same, each region counted by its agreement with the round before. `factors`: scratch [count * levels + 16].
+    // The same, each region counted by its agreement with the round before. `factors`: scratch [levels * (count + 16)].
     void (*add_reweighted)(const VoteEntry* entries, int64_t count, const CombinationCodes& codes,
                            const EarlierGaussian& earlier, float* factors, float* sums);
     // 1 - cosine of the Gaussian and each region of one level that occurs in the entries; returns how many there are.

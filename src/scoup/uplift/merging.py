@@ -48,44 +48,50 @@ def merge_regions(
     root: Matrix = matrix.astype(np.float64)
     seen: Matrix = (root @ one_hot).tocsr()
     root.data, seen.data = (np.rint(ROOT_STEPS * np.sqrt(item.data)) for item in (root, seen))
-    overlap = (root.T.tocsr() @ root).tocoo()
-    reach = (root.T @ seen).toarray()  # D
-    first, second = overlap.row, overlap.col
-    above = (first < second) & (views[first] != views[second])
-    first, second, overlaps = first[above], second[above], overlap.data[above]
+    by_region = root.T.tocsr()
+    reach = (by_region @ seen).toarray()  # D
+    overlap = (by_region @ root).tocoo()  # by rows
+    others = views[overlap.row] != views[overlap.col]
+    first, second, overlaps = overlap.row[others], overlap.col[others], overlap.data[others]
+    edges = np.cumsum(np.bincount(first, minlength=count))[:-1]
+    near = list(zip(np.split(second, edges), np.split(overlaps, edges), strict=True))
+    above = first < second
+    first, second, overlaps = first[above], second[above], overlaps[above]
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps
-    pairs = np.stack([first, second], 1)
-    labels = _agglomerate(pairs, overlaps, union, reach.copy(), views, least_iou)
+    labels = _agglomerate(
+        first, second, overlaps / np.maximum(union, 1), near, reach.copy(), views, least_iou
+    )
     same = labels[first] == labels[second]
     shared = 2.0 * np.bincount(labels[first[same]], overlaps[same], labels.max() + 1)
     return labels, _stability(labels, shared, reach, views)
 
 
 def _agglomerate(
-    pairs: NDArray[np.int64],  # [P, 2]
-    overlaps: NDArray[np.float64],  # [P]
-    unions: NDArray[np.float64],  # [P]
+    first: NDArray[np.int32],  # [P]
+    second: NDArray[np.int32],  # [P]
+    ious: NDArray[np.float64],  # [P]
+    near: list[
+        tuple[NDArray[np.int32], NDArray[np.float64]]
+    ],  # [R], overlapping regions and overlaps; changed
     reach: NDArray[np.float64],  # [R, V], changed
     views: NDArray[np.int64],  # [R]
     least_iou: float,
 ) -> NDArray[np.int64]:
     """Merge best pair first, by a heap; an entry is stale once one of the two has grown."""
     count = len(views)
-    near = _neighbours(pairs, overlaps, count)
     seen_in = np.zeros_like(reach)
     seen_in[np.arange(count), views] = 1
-    grown, cluster = [0] * count, np.arange(count)
-    ious = overlaps / np.maximum(unions, 1)
+    grown, cluster, members = [0] * count, np.arange(count), [[region] for region in range(count)]
     above = ious > least_iou
-    heap = [
-        (-iou, a, b, 0, 0) for iou, (a, b) in zip(ious[above].tolist(), pairs[above].tolist(), strict=True)
-    ]
+    begun = (values[above].tolist() for values in (-ious, first, second))
+    heap = [(iou, a, b, 0, 0) for iou, a, b in zip(*begun, strict=True)]
     heapq.heapify(heap)
     while heap:
         _, one, other, *ages = heapq.heappop(heap)
         if ages != [grown[one], grown[other]]:
             continue
-        cluster[cluster == other] = one
+        cluster[members[other]] = one
+        members[one] += members[other]
         grown[one] += 1
         grown[other] = -1  # no entry has that age
         reach[one] += reach[other]
@@ -93,27 +99,20 @@ def _agglomerate(
         regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
         total = np.bincount(cluster[regions], parts, count)
         total[one] = 0
-        others = np.flatnonzero(total)
-        shared = total[others].astype(np.float64)
+        others = np.flatnonzero(total > 0)
+        shared = total[others]
         near[one] = others, shared
-        unions = reach[others] @ seen_in[one] + seen_in[others] @ reach[one] - shared
-        ious = shared / np.maximum(unions, 1)
-        for index in np.flatnonzero(ious > least_iou).tolist():
-            low, high = sorted((one, int(others[index])))
-            heapq.heappush(heap, (-float(ious[index]), low, high, grown[low], grown[high]))
+        in_views = np.flatnonzero(seen_in[one])
+        forth = reach[others[:, None], in_views] @ seen_in[one, in_views]
+        # The union is at least this large: no cluster overlaps further than it is seen.
+        likely = shared / np.maximum(forth, 1) > least_iou
+        others, forth, shared = others[likely], forth[likely], shared[likely]
+        ious = shared / np.maximum(forth + seen_in[others] @ reach[one] - shared, 1)
+        for iou, third in zip(ious.tolist(), others.tolist(), strict=True):
+            if iou > least_iou:
+                low, high = (one, third) if one < third else (third, one)
+                heapq.heappush(heap, (-iou, low, high, grown[low], grown[high]))
     return np.unique(cluster, return_inverse=True)[1].astype(np.int64)
-
-
-def _neighbours(
-    pairs: NDArray[np.int64],  # [P, 2]
-    overlaps: NDArray[np.float64],  # [P]
-    count: int,
-) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Return the overlapping regions of each region, and the overlaps."""
-    order = np.argsort(pairs.T.ravel(), kind="stable")
-    others, overlaps = pairs[:, ::-1].T.ravel()[order], np.tile(overlaps, 2)[order]
-    edges = np.cumsum(np.bincount(pairs.ravel(), minlength=count))[:-1]
-    return list(zip(np.split(others, edges), np.split(overlaps, edges), strict=True))
 
 
 def _stability(

@@ -8,6 +8,7 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,7 +60,7 @@ def find_things(
     if sums.rows is None:
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
-    entries = _keep_large_gaussians(_strong_entries(sums, names))
+    entries = _strong_entries(sums, names)
     of_levels: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
         progress("things", number, len(embeddings))
@@ -69,7 +70,8 @@ def find_things(
     progress("things", len(embeddings), len(embeddings))
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            strays = list(pool.map(lambda of_level: _drop_strays(sums, of_level, entries.total), owners.T))
     return FoundThings(_number_things(of_levels, owners), strays)
 
 
@@ -93,7 +95,8 @@ class _StrongEntries:
 
 
 def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
-    """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order."""
+    """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order, but for
+    those that contribute little."""
     count = sums.n_gaussians
     assert sums.rows is not None
     deciding = [(name, item, *_deciding(item, count)) for name in names for item in sums.views[name].parts]
@@ -104,10 +107,11 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
             distinct = gaussians[starts]
             total[distinct] += np.add.reduceat(weights.astype(np.float64), starts)
             largest[distinct] = np.maximum(largest[distinct], np.maximum.reduceat(weights, starts))
+    least = np.where(_decide(total), constants.LEAST_SHARE * largest, np.float32(np.inf))
     triplets = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
     for name, entries, gaussians, weights, combinations in deciding:
         firsts = np.array([rows[name].start for rows in sums.rows])
-        strong = np.flatnonzero((weights >= constants.LEAST_SHARE * largest[gaussians]) & (weights > 0))
+        strong = np.flatnonzero((weights >= least[gaussians]) & (weights > 0))
         table = np.where(entries.table >= 0, entries.table + firsts, -1).astype(np.int32)
         triplets.append((gaussians[strong], table[combinations[strong]], weights[strong]))
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*triplets, strict=True))
@@ -122,17 +126,14 @@ def _deciding(sums: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.
     return gaussians[chosen], sums.weights[chosen].astype(np.float32), sums.combinations[chosen]
 
 
-def _keep_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
-    """Drop the entries of Gaussians that contribute little."""
-    order = np.argsort(-entries.total, kind="stable")
-    mass = np.cumsum(entries.total[order])
-    decides = np.zeros(len(entries.total), bool)
+def _decide(total: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return [N] whether a Gaussian that contributes ``total`` [N] is one of the largest, which decide."""
+    order = np.argsort(-total, kind="stable")
+    mass = np.cumsum(total[order])
+    decides = np.zeros(len(total), bool)
     if len(mass) and mass[-1] > 0:
         decides[order[: int(np.searchsorted(mass, constants.MASS * mass[-1])) + 1]] = True
-    chosen = decides[entries.gaussians]
-    return _StrongEntries(
-        entries.gaussians[chosen], entries.regions[chosen], entries.weights[chosen], entries.total
-    )
+    return decides
 
 
 def _by_region(entries: _StrongEntries, level: int, n_regions: int) -> Matrix:
@@ -193,11 +194,13 @@ def mean_embeddings(
     """
     from scipy.sparse import csr_array
 
+    members = np.flatnonzero(member >= 0)  # few: not all views decide
     # Rounded as they are kept beside region sums, where updates read them.
-    rows = normalise_embeddings(embeddings.cpu().half().float()).double().numpy()
-    members = np.flatnonzero((member >= 0) & rows.any(1))
+    rows = normalise_embeddings(embeddings[members].cpu().half().float()).double().numpy()
+    there = rows.any(1)
+    rows, members = rows[there], members[there]
     weights = np.sqrt(mass[members].astype(np.float64))
-    summed = csr_array((weights, (member[members], members)), (count, len(rows))) @ rows
+    summed = csr_array((weights, (member[members], np.arange(len(rows)))), (count, len(rows))) @ rows
     total = np.bincount(member[members], weights, count)
     norm = np.linalg.norm(summed, axis=1)
     agreement = np.divide(norm, total, out=np.ones(count), where=total > 0).clip(0, 1)
@@ -278,10 +281,11 @@ def find_strays(
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))
     if not len(members):
         return strays
-    members = members[np.argsort(owners[members], kind="stable")]
-    things, starts, thing = np.unique(owners[members], return_index=True, return_inverse=True)
+    members = members[np.argsort(owners[members].astype(np.uint16), kind="stable")]  # two bytes: a radix sort
+    starts = np.flatnonzero(np.diff(owners[members], prepend=-1))
     points, weights = means[members].astype(np.float64), weights[members]
     ends = np.append(starts[1:], len(members))
+    thing = np.repeat(np.arange(len(starts)), ends - starts)
     places = [_place(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
     middles, sizes = np.array([middle for middle, _ in places]), np.array([size for _, size in places])
     edges = sizes * np.maximum(1 / constants.PER_SIZE, constants.SPACING / np.sqrt(ends - starts))
@@ -293,7 +297,7 @@ def find_strays(
     weight = np.bincount(component, weights)
     of_component = np.zeros(len(weight), np.int64)
     of_component[component] = thing
-    body = np.zeros(len(things))
+    body = np.zeros(len(starts))
     np.maximum.at(body, of_component, weight)
     strays[members] = (weight < constants.KEPT * body[of_component])[component]
     return strays
