@@ -8,7 +8,6 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,8 +69,7 @@ def find_things(
     progress("things", len(embeddings), len(embeddings))
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-            strays = list(pool.map(lambda of_level: _drop_strays(sums, of_level, entries.total), owners.T))
+        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
     return FoundThings(_number_things(of_levels, owners), strays)
 
 
@@ -281,7 +279,7 @@ def find_strays(
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))
     if not len(members):
         return strays
-    members = members[np.argsort(owners[members].astype(np.uint16), kind="stable")]  # two bytes: a radix sort
+    members = members[np.argsort(owners[members], kind="stable")]
     starts = np.flatnonzero(np.diff(owners[members], prepend=-1))
     points, weights = means[members].astype(np.float64), weights[members]
     ends = np.append(starts[1:], len(members))
