@@ -283,7 +283,7 @@ class Archive:
         if not source and about:
             remedy = "pass a word table or model as `encoder`"
             raise InputError(f"{self.folder}: does not say what encodes texts; {remedy}")
-        if not source:
+        if not source or not (about or field):  # or it has disappeared
             problem = "contains no scan" if self.folder.is_dir() else "there is no such archive"
             raise InputError(f"{self.folder}: {problem}; add fields first")
         opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)

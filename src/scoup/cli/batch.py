@@ -91,7 +91,7 @@ class Batch:
                 if archive is not None and "error" not in record:
                     try:
                         added = archive.folder / f"{name}.parquet"
-                        if self.common.overwrite or not added.exists() or _time(added) < _time(file):
+                        if not record["kept"] or not added.exists() or _time(added) < _time(file):
                             archive.add(file)
                     except ScoupError as error:
                         record["error"] = with_options(str(error))
