@@ -247,14 +247,10 @@ def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None
 
 
 MISTAKES = {
-    "point cloud": ("--gaussians", "points.ply"),
-    "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
-    "table": ("--model", "table.npz"),
-    "no table": ("--model", "missing.npz"),
-    "codebook": ("--codebook", "other.scoup"),
-    "near plane": ("--raster-preset", "inria:-1"),
-    "full disk": (),
-}
+    "point cloud": ("--gaussians", "points.ply"), "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
+    "table": ("--model", "table.npz"), "no table": ("--model", "missing.npz"),
+    "codebook": ("--codebook", "other.scoup"), "near plane": ("--raster-preset", "inria:-1"), "full disk": (),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -66,16 +66,8 @@ def random_phrases(count: int) -> list[str]:
     draw = random.Random(7)
     names = ["mug", "laptops", "the pen", "Bowl", '"apple"', "lamp", "table", "salt and pepper", ABSENT]
     relations = [
-        "left of",
-        "to the right of",
-        "in front of",
-        "behind",
-        "on",
-        "above",
-        "beneath",
-        "next to",
-        "in",
-    ]
+        "left of", "to the right of", "in front of", "behind", "on", "above", "beneath", "next to", "in",
+    ]  # fmt: skip
     relations += ["closest to", "between", "inside of", "facing"]
     before = ["", "", "", "largest ", "second smallest ", "the 2nd biggest "]
 
