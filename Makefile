@@ -11,6 +11,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 VIEWER := $(wildcard viewer/*.* viewer/src/*)
+# Where it is set, every process of the tests would compile the tests again.
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := pyproject.toml tools/install.py tools/build_viewer.py tools/build_backend.py $(NATIVE) $(VIEWER)
 
 .PHONY: demo page docs test test-all test-engines test-native lint format clean

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, settings
 
 import messages
 from children import child
-from scoup.base import native
+from scoup.base import locked, native
 from support import examples
 
 # Times vary with the load of the machine: a slow example is no failure.
@@ -181,11 +181,15 @@ def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     layouts = [LAYOUTS["table"], LAYOUTS["shelves"]]
     size = DataSetSize(n_gaussians=4000, width=96, height=72, n_views=6, n_labelled=2)
-    folder = tmp_path_factory.mktemp("data_sets")
-    with pytest.MonkeyPatch.context() as patch:  # the same scenes are written for each of them
-        patch.setattr("scoup_lab.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
-        for name in ("lerf-ovs", "3d-ovs", "scannet"):
-            write_data_set(name, folder / name, layouts, size)
-        half = dataclasses.replace(size, label_scale=0.5)
-        write_data_set("mipnerf360", folder / "mipnerf360", layouts, half)
+    place = tmp_path_factory.getbasetemp()
+    folder = (place.parent if "PYTEST_XDIST_WORKER" in os.environ else place) / "data_sets"
+    with locked(folder, wait=True), pytest.MonkeyPatch.context() as patch:
+        if not folder.exists():  # the first process that needs them makes them for all
+            # The same scenes are written for each of them.
+            patch.setattr("scoup_lab.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
+            half = dataclasses.replace(size, label_scale=0.5)
+            made = folder.with_name("unfinished")
+            for name in ("lerf-ovs", "3d-ovs", "scannet", "mipnerf360"):
+                write_data_set(name, made / name, layouts, half if name == "mipnerf360" else size)
+            made.rename(folder)
     return folder

@@ -38,14 +38,9 @@ def captured(
     parameters = [gaussians.means, *colors, *shape, opacities, logits, codebooks]
     optimizer = {"state": {}, "param_groups": [{"lr": 0.0025, "name": "language_feature", "params": [0]}]}
     entries = (
-        gaussians.sh_degree,
-        *(nn.Parameter(parameter.clone()) for parameter in parameters),
-        torch.zeros(count),
-        torch.zeros(count, 1),
-        torch.zeros(count, 1),
-        optimizer,
-        np.float64(4.7),
-    )
+        gaussians.sh_degree, *(nn.Parameter(parameter.clone()) for parameter in parameters), torch.zeros(count),
+        torch.zeros(count, 1), torch.zeros(count, 1), optimizer, np.float64(4.7),
+    )  # fmt: skip
     return entries, logits, codebooks
 
 

@@ -29,29 +29,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 MODULES = (
-    "torch",
-    "scipy.ndimage",
-    "scipy.sparse",
-    "scipy.spatial",
-    "PIL.Image",
-    "yaml",
-    "rich.progress",
-    "rich.table",
-    "tyro",
-    "scoup.cli.app",
-    "scoup.cli.build",
-    "scoup.cli.transfer",
-    "scoup.cli.extract",
-    "scoup.cli.query",
-    "scoup.io",
-    "scoup.models.text",
-    "scoup.uplift.field_build",
-    "scoup.uplift.field_transfer",
-    "scoup.uplift.fit",
-    "scoup.extract.pipeline",
-    "scoup.extract.registry",
-    "scoup.query.language_field",
-)
+    "torch", "scipy.ndimage", "scipy.sparse", "scipy.spatial", "PIL.Image", "yaml", "rich.progress", "rich.table",
+    "tyro", "scoup.cli.app", "scoup.cli.build", "scoup.cli.transfer", "scoup.cli.extract", "scoup.cli.query",
+    "scoup.io", "scoup.models.text", "scoup.uplift.field_build", "scoup.uplift.field_transfer", "scoup.uplift.fit",
+    "scoup.extract.pipeline", "scoup.extract.registry", "scoup.query.language_field",
+)  # fmt: skip
 IF_INSTALLED = ("skimage.segmentation",)
 LENGTH = struct.Struct("<Q")
 

@@ -16,12 +16,8 @@ from scoup_lab.data.labels import match_frames, read_labels
 
 NAMES: tuple[str, ...] = ("kettle", "laptop computer", "penguin")
 CONVERSES = {
-    "left of": "right of",
-    "right of": "left of",
-    "in front of": "behind",
-    "above": "under",
-    "on": "under",
-}
+    "left of": "right of", "right of": "left of", "in front of": "behind", "above": "under", "on": "under",
+}  # fmt: skip
 pytestmark = pytest.mark.data
 
 

@@ -17,17 +17,8 @@ from scoup.field import Cache
 from scoup.query import FieldView
 
 ANSWERS = [
-    "question",
-    "answer",
-    "at",
-    "location",
-    "things",
-    "relations",
-    "catalog",
-    "frame",
-    "select",
-    "label",
-]
+    "question", "answer", "at", "location", "things", "relations", "catalog", "frame", "select", "label",
+]  # fmt: skip
 NAMES = [name for name in scoup.__all__ if name != "__version__"]
 
 

@@ -34,30 +34,19 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 api: Any = scoup  # the calls below are wrong on purpose
 
 SWAPPED: list[Callable[[Any], Any]] = [
-    lambda t: api.build(t.cameras, t.gaussians, t.regions),
-    lambda t: api.build(t.gaussians, t.regions, t.cameras),
-    lambda t: api.build(t.gaussians, t.cameras, t.path),
-    lambda t: api.build(t.gaussians, t.cameras, t.regions, 3),
+    lambda t: api.build(t.cameras, t.gaussians, t.regions), lambda t: api.build(t.gaussians, t.regions, t.cameras),
+    lambda t: api.build(t.gaussians, t.cameras, t.path), lambda t: api.build(t.gaussians, t.cameras, t.regions, 3),
     lambda t: api.region_sums(t.cameras, t.gaussians, t.regions),
     lambda t: api.region_sums(t.gaussians, t.path, t.regions),
-    lambda t: api.LanguageField.load(t.path + "/f.scoup", t.path),
-    lambda t: api.LanguageField.load(t.gaussians),
-    lambda t: t.field.attach(t.path),
-    lambda t: api.load_gaussians(t.gaussians),
-    lambda t: api.load_cameras(None),
-    lambda t: api.load_regions(t.cameras, t.path),
-    lambda t: api.load_regions(t.path, t.path),
-    lambda t: api.load_regions(t.path, t.gaussians),
-    lambda t: api.load_regions(t.path, ["view_00.png"]),
-    lambda t: api.save_gaussians("a.ply", t.gaussians),
-    lambda t: t.field.at(t.cameras).answer("kettle"),
-    lambda t: t.field.project(t.gaussians),
-    lambda t: t.field.answer(t.cameras[0]),
-    lambda t: t.field.select(t.path, t.texts),
-    lambda t: t.field.select(t.gaussians.opacities > 0.5),
-    lambda t: api.project(t.cameras[0], t.gaussians),
-    lambda t: api.project(t.gaussians, t.cameras),
-]
+    lambda t: api.LanguageField.load(t.path + "/f.scoup", t.path), lambda t: api.LanguageField.load(t.gaussians),
+    lambda t: t.field.attach(t.path), lambda t: api.load_gaussians(t.gaussians), lambda t: api.load_cameras(None),
+    lambda t: api.load_regions(t.cameras, t.path), lambda t: api.load_regions(t.path, t.path),
+    lambda t: api.load_regions(t.path, t.gaussians), lambda t: api.load_regions(t.path, ["view_00.png"]),
+    lambda t: api.save_gaussians("a.ply", t.gaussians), lambda t: t.field.at(t.cameras).answer("kettle"),
+    lambda t: t.field.project(t.gaussians), lambda t: t.field.answer(t.cameras[0]),
+    lambda t: t.field.select(t.path, t.texts), lambda t: t.field.select(t.gaussians.opacities > 0.5),
+    lambda t: api.project(t.cameras[0], t.gaussians), lambda t: api.project(t.gaussians, t.cameras),
+]  # fmt: skip
 
 
 def test_the_argument_is_named(things: SimpleNamespace) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,9 +40,15 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
     return made
 
 
-@pytest.fixture
-def archive(fields: dict[str, LanguageField], tmp_path: Path) -> scoup.Archive:
-    made = scoup.Archive(tmp_path / "sc[an]*s")
+@pytest.fixture(scope="session")
+def archive_folder(fields: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = scoup.Archive(tmp_path_factory.mktemp("archive") / "sc[an]*s")
     for floor, field in enumerate(fields.values()):
         made.add(field, floor=floor, city="Graz")
-    return made
+    return made.folder
+
+
+@pytest.fixture
+def archive(archive_folder: Path, tmp_path: Path) -> scoup.Archive:
+    """A copy of its own."""
+    return scoup.Archive(shutil.copytree(archive_folder, tmp_path / archive_folder.name))

@@ -266,13 +266,10 @@ BYTES: list[Callable[[bytes], bytes]] = [
     lambda data: data.replace(b'"version": 1', b'"version": 9'),
 ]
 HEADERS: list[Callable[[dict[str, Any]], Any]] = [
-    lambda header: header.pop("arrays"),
-    lambda header: header.update(arrays=header["arrays"][:-8]),
-    lambda header: header.update(arrays=header["arrays"].replace("A", "B")),
-    lambda header: header.update(levels=[]),
-    lambda header: header.update(texts=["mug"]),
-    lambda header: header.update(columns={"Floor": 1}),
-]
+    lambda header: header.pop("arrays"), lambda header: header.update(arrays=header["arrays"][:-8]),
+    lambda header: header.update(arrays=header["arrays"].replace("A", "B")), lambda header: header.update(levels=[]),
+    lambda header: header.update(texts=["mug"]), lambda header: header.update(columns={"Floor": 1}),
+]  # fmt: skip
 
 
 def with_array(name: str, change: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[dict[str, Any]], Any]:
@@ -298,12 +295,9 @@ SEALED = [
     with_array("ends", lambda array: array.flip(0)),
 ]  # fmt: skip
 COLUMNS = [
-    "EXCLUDE (position)",
-    "REPLACE ([1.0, 2.0] AS position)",
-    "REPLACE (NULL AS box_axes)",
-    "REPLACE ('text' AS box_extent)",
-    "REPLACE (thing + 100 AS thing)",
-]
+    "EXCLUDE (position)", "REPLACE ([1.0, 2.0] AS position)", "REPLACE (NULL AS box_axes)",
+    "REPLACE ('text' AS box_extent)", "REPLACE (thing + 100 AS thing)",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("damage", [

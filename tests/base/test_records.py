@@ -70,16 +70,12 @@ def test_results_of_a_loop_come_in_order_and_few_are_made_ahead() -> None:
 
 
 ONE_OF_EACH = [
-    errors.ScoupError("said"),
-    errors.InputError("said"),
-    errors.FileFormatError("a.ply", "is damaged", "make it again"),
-    errors.FieldVersionError("a.scoup", 9, 3),
-    errors.MissingFileError("a.ply", "is not there"),
-    errors.OutputExistsError("a.scoup"),
-    errors.WriteError("a.scoup", "No space left on device", "free some space"),
-    errors.OutputInUseError("a.scoup"),
+    errors.ScoupError("said"), errors.InputError("said"),
+    errors.FileFormatError("a.ply", "is damaged", "make it again"), errors.FieldVersionError("a.scoup", 9, 3),
+    errors.MissingFileError("a.ply", "is not there"), errors.OutputExistsError("a.scoup"),
+    errors.WriteError("a.scoup", "No space left on device", "free some space"), errors.OutputInUseError("a.scoup"),
     errors.UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
-]
+]  # fmt: skip
 
 
 def test_a_file_that_vanished_is_named() -> None:

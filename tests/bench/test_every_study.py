@@ -51,6 +51,7 @@ def test_a_whole_build(backend: str) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
+@pytest.mark.usefixtures("quick_python")
 def test_first_words_are_those_on_a_terminal() -> None:
     verbs = ("info demo/demo.scoup", "query demo/demo.scoup teapot")
     times = ran(FirstWords(n_gaussians=2000, repeats=1, verbs=verbs))["rows"]

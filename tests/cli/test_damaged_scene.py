@@ -19,14 +19,10 @@ BUILD = ("--n-atoms", "4", "--k", "4", "--quiet", "--overwrite")
 GONE = [f"{folder}/view_0{number}{end}" for number in (2, 3) for folder, end in
         (("images", ".png"), ("language_features", "_s.npy"), ("language_features", "_f.npy"))]  # fmt: skip
 BUILT_FROM = {
-    "splat": "point_cloud.ply",
-    "cameras": "sparse/0/cameras.bin",
-    "images": "sparse/0/images.bin",
-    "labels": "language_features/view_01_s.npy",
-    "embeddings": "language_features/view_01_f.npy",
-    "photograph": "images/view_01.png",
-    "table": "words.npz",
-}
+    "splat": "point_cloud.ply", "cameras": "sparse/0/cameras.bin", "images": "sparse/0/images.bin",
+    "labels": "language_features/view_01_s.npy", "embeddings": "language_features/view_01_f.npy",
+    "photograph": "images/view_01.png", "table": "words.npz",
+}  # fmt: skip
 ASKED_FROM = {"field": "f.scoup", "splat": "point_cloud.ply", "table": "words.npz"}
 many = settings(
     max_examples=examples(25),

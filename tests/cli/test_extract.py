@@ -247,21 +247,18 @@ def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None
 
 
 MISTAKES = {
-    "point cloud": ("--gaussians", "points.ply"),
-    "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
-    "table": ("--model", "table.npz"),
-    "no table": ("--model", "missing.npz"),
-    "codebook": ("--codebook", "other.scoup"),
-    "near plane": ("--raster-preset", "inria:-1"),
-    "full disk": (),
-}
+    "point cloud": ("--gaussians", "points.ply"), "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
+    "table": ("--model", "table.npz"), "no table": ("--model", "missing.npz"),
+    "codebook": ("--codebook", "other.scoup"), "near plane": ("--raster-preset", "inria:-1"), "full disk": (),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_found_before_the_first_photograph(
     mistake: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_json("build", "scene", *QUICK, "--no-check-fit", "--out", "other.scoup")
+    if mistake == "codebook":
+        run_json("build", "scene", *QUICK, "--no-check-fit", "--out", "other.scoup")
     gaussians = load_gaussians(SPLAT)
     photographs()
     Path("points.ply").write_text(

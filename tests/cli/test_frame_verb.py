@@ -21,21 +21,9 @@ from scoup.query import LanguageField
 pytestmark = pytest.mark.usefixtures("here")
 WORLD = WorldFrame(0.5, (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (48.2, 16.4, 180.0), "map")
 ALL = [
-    "--metres-per-unit",
-    "0.5",
-    "--up",
-    "-z",
-    "--north",
-    "0",
-    "1",
-    "0",
-    "--origin",
-    "48.2",
-    "16.4",
-    "180",
-    "--name",
+    "--metres-per-unit", "0.5", "--up", "-z", "--north", "0", "1", "0", "--origin", "48.2", "16.4", "180", "--name",
     "map",
-]
+]  # fmt: skip
 
 
 def frame_of(path: str = "f.scoup") -> WorldFrame:

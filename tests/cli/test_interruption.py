@@ -141,8 +141,9 @@ entry()
 ENDLESS = "(select count(*) from range(20000000000000)) > 0", "length(repeat('x', 4000000000)) > 0"
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize("where", ENDLESS)
+@pytest.mark.parametrize(
+    ("where", "number", "code"), [(ENDLESS[0], signal.SIGINT, 130), (ENDLESS[1], signal.SIGTERM, 143)]
+)
 def test_conditions_that_do_not_end_are_stopped(where: str, number: int, code: int) -> None:
     pytest.importorskip("duckdb")
     printed("archive", "a", "--add", "f.scoup")

@@ -227,8 +227,7 @@ def served_over_http(before: str = "") -> Iterator[tuple[Popen[str], urllib.requ
 
 
 @needs_mcp
-@pytest.mark.parametrize(("number", "code"), CODES)
-@pytest.mark.parametrize("served_over", ["pipes", "http"])
+@pytest.mark.parametrize(("served_over", "number", "code"), [("pipes", *CODES[1]), ("http", *CODES[0])])
 def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int, code: int) -> None:
     with ExitStack() as stack:
         if served_over == "http":
@@ -256,8 +255,7 @@ resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
 @needs_mcp
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
-@pytest.mark.parametrize("before", ["", FEW_FILES])
-@pytest.mark.parametrize("verb", ["view", "mcp"])
+@pytest.mark.parametrize(("verb", "before"), [("view", FEW_FILES), ("mcp", ""), ("mcp", FEW_FILES)])
 def test_connections_that_send_nothing_lock_nobody_out(verb: str, before: str) -> None:
     with ExitStack() as stack:
         if verb == "view":
@@ -278,8 +276,7 @@ def test_connections_that_send_nothing_lock_nobody_out(verb: str, before: str) -
 
 @needs_mcp
 @pytest.mark.skipif(sys.platform != "linux", reason="sizes of pipes as of Linux")
-@pytest.mark.parametrize(("number", "code"), CODES)
-def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> None:
+def test_servers_of_agents_stop_while_nobody_reads() -> None:
     import fcntl
     import termios
 
@@ -293,10 +290,10 @@ def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> No
         waiting = bytearray(4)
         while int.from_bytes(waiting, sys.byteorder) < page // 2:  # the next reply has no room in the page
             fcntl.ioctl(server.stdout, termios.FIONREAD, waiting)
-        server.send_signal(number)
+        server.send_signal(signal.SIGTERM)
         server.wait()
         said = server.stderr.read() if server.stderr else ""
-    assert (server.returncode, said.count("Traceback")) == (code, 0), said
+    assert (server.returncode, said.count("Traceback")) == (143, 0), said
 
 
 @needs_mcp

@@ -137,13 +137,8 @@ def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytes
 
 def test_equal_names_in_several_folders(tmp_path: Path) -> None:
     names = [
-        "cam1/0000.png",
-        "cam2/0000.png",
-        "scan.0000.png",
-        "scan.0001.png",
-        "../up/a.png",
-        "C:\\b\\a.png",
-    ]
+        "cam1/0000.png", "cam2/0000.png", "scan.0000.png", "scan.0001.png", "../up/a.png", "C:\\b\\a.png",
+    ]  # fmt: skip
     store = RegionStore.create(tmp_path / "compact", manifest_of())
     store.begin()
     for number, name in enumerate(names):

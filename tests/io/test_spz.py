@@ -221,12 +221,8 @@ def test_spz_of_others_says_where_it_is(tmp_path: Path) -> None:
         WorldFrame(0.25, (0, -1, 0), (0, 0, 1), (48.2082, 16.3738, 187.5))
     )
     drafts = (
-        record(crs=b"EPSG:4979"),
-        record(version=2),
-        record(norm=1.1),
-        record(length=8),
-        record(crs=b"EPSG:4978" * 2),
-    )
+        record(crs=b"EPSG:4979"), record(version=2), record(norm=1.1), record(length=8), record(crs=b"EPSG:4978" * 2),
+    )  # fmt: skip
     for content in drafts:
         with warns(ScoupWarning):
             assert read(content) == WorldFrame()

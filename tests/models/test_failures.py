@@ -57,14 +57,10 @@ def test_files_of_whole_objects_and_damaged_ones(tmp_path: Path) -> None:
 def test_folders_that_are_not_models(tmp_path: Path) -> None:
     folder = saved(tiny_clip(), tmp_path / "clip")
     contents: list[dict[str, str | None]] = [
-        {"model.safetensors": "cut"},
-        {"config.json": '{"model_type": "\\u001b[1mnew"}'},
-        {"model.safetensors": None},
-        {"config.json": "{}"},
-        {"config.json": "{"},
-        {"config.json": None},
+        {"model.safetensors": "cut"}, {"config.json": '{"model_type": "\\u001b[1mnew"}'}, {"model.safetensors": None},
+        {"config.json": "{}"}, {"config.json": "{"}, {"config.json": None},
         {"config.json": "{}", "open_clip_config.json": "{}", "open_clip_model.safetensors": ""},
-    ]
+    ]  # fmt: skip
     for files in contents:
         for name, content in files.items():
             if content is None:

@@ -146,7 +146,7 @@ def demo() -> tuple[LanguageField, list[str]]:
     names = {name for level in field.levels for name in scene.parts.names(level)}
     words = [word for word in scene.words.texts if word in names]
     others = [word for word in scene.words.texts if word not in names]
-    return field, [*words, *others[:10]]
+    return field, [*words[::3], *others[:10]]
 
 
 @pytest.mark.parametrize("has_things", [True, False])
@@ -156,7 +156,7 @@ def test_the_demo_scene(demo, has_things: bool, monkeypatch) -> None:
     assert field.thing_table is not None
     monkeypatch.setattr(matching, "FITS_AT_A_TIME", 5 * len(field.thing_table))  # several passes
     assert len(words) > 10
-    check_everything(field if has_things else without_things(field), words, list(field.cameras))
+    check_everything(field if has_things else without_things(field), words, list(field.cameras)[::2])
 
 
 def photographed(folder: Path) -> LanguageField:

@@ -31,13 +31,9 @@ pytestmark = [pytest.mark.data, needs_native]
 Seen = tuple[Gaussians, Camera, tuple[raster.Projection, raster.Projection]]
 VIEWS = [("kitchen 5", "gsplat", 2), ("guitar 0", "inria", 1), ("garden 0", "gsplat", 2)]
 MORE_VIEWS = [
-    ("kitchen 0", "inria", 1),
-    ("kitchen 11", "gsplat", 1),
-    ("kitchen 17", "inria", 2),
-    ("guitar 1", "gsplat", 1),
-    ("guitar 2", "inria", 1),
-    ("garden 2", "inria", 2),
-]
+    ("kitchen 0", "inria", 1), ("kitchen 11", "gsplat", 1), ("kitchen 17", "inria", 2), ("guitar 1", "gsplat", 1),
+    ("guitar 2", "inria", 1), ("garden 2", "inria", 2),
+]  # fmt: skip
 
 
 @functools.cache

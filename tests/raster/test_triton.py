@@ -62,18 +62,12 @@ def test_small_checks(interpreted, check):
     interpreted(check)
 
 
-@pytest.mark.parametrize(
-    ("kind", "levels", "n_atoms", "k", "halves"),
-    [
-        pytest.param("mixed", 3, 64, 4, True, marks=pytest.mark.slow),
-        pytest.param("equal depths", 1, 128, 2, True, marks=pytest.mark.slow),
-        pytest.param("needles", 5, 20, 4, False, marks=pytest.mark.slow),
-        ("off centre", 1, 200, 4, True),
-        ("near", 1, 300, 1, False),
-        ("empty", 2, 16, 4, True),
-        ("one pixel", 4, 1, 3, True),
-    ],
-)
+@pytest.mark.parametrize(("kind", "levels", "n_atoms", "k", "halves"), [
+    pytest.param("mixed", 3, 64, 4, True, marks=pytest.mark.slow),
+    pytest.param("equal depths", 1, 128, 2, True, marks=pytest.mark.slow),
+    pytest.param("needles", 5, 20, 4, False, marks=pytest.mark.slow), ("off centre", 1, 200, 4, True),
+    ("near", 1, 300, 1, False), ("empty", 2, 16, 4, True), ("one pixel", 4, 1, 3, True),
+])  # fmt: skip
 def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, halves):
     interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
 
@@ -82,14 +76,10 @@ def test_a_build_agrees_with_the_reference(interpreted):
     interpreted(gpu_checks.check_build, 2)
 
 
-@pytest.mark.parametrize(
-    ("capability", "names"),
-    [
-        (90, ("codes 3 x 64", "region sums")),
-        pytest.param(80, None, marks=pytest.mark.slow, id="80-all"),
-        pytest.param(90, None, marks=pytest.mark.slow, id="90-all"),
-    ],
-)
+@pytest.mark.parametrize(("capability", "names"), [
+    (90, ("codes 3 x 64", "region sums")), pytest.param(80, None, marks=pytest.mark.slow, id="80-all"),
+    pytest.param(90, None, marks=pytest.mark.slow, id="90-all"),
+])  # fmt: skip
 def test_kernels_compile_within_a_gpu(
     needs_triton: None, tmp_path: Path, capability: int, names: tuple[str, ...] | None
 ) -> None:

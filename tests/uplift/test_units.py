@@ -23,7 +23,7 @@ from scoup.uplift.near_plane import scene_preset
 from scoup_lab.synthetic.folder import write_demo_scene
 from scoup_lab.synthetic.scene import make_demo_scene
 
-SIZES = (0.001, 0.1, 1000.0)
+SIZES = (0.001, 1000.0)
 WORDS = ("teapot", "mug", "elephant")
 
 

@@ -13,7 +13,7 @@ from uplift.random_votes import Sizes
 
 
 @pytest.mark.parametrize(("sizes", "keep"), [
-    (Sizes(12, 3, 3, 24, 4, 90), 4), (Sizes(20, 1, 1, 7, 2, 90), 9), (Sizes(5, 4, 2, 300, 5, 40, without=0), 12),
+    (Sizes(12, 3, 3, 24, 4, 40), 4), (Sizes(20, 1, 1, 7, 2, 90), 9), (Sizes(5, 3, 2, 300, 5, 20, without=0), 12),
     (Sizes(3, 1, 1, 1, 1, 5), 1), (Sizes(4, 3, 2, 20, 3, 150), 20),
 ])  # fmt: skip
 def test_agrees_with_the_reference(interpreted, sizes, keep):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -23,15 +24,15 @@ def check_few_at_a_time(device: str) -> None:
 
     arguments = random_vote(Sizes(258, 1, 1, 5, 2, 60), 4)
     buckets = buckets_of(arguments)
+    limits: list[tuple[dict[str, Any], list[range]]] = [
+        ({"MOST_ENTRIES": 100}, [range(2)]),
+        ({"MOST_ENTRIES": 1}, [range(1), range(1, 2)]),
+        ({"MOST_SUMS": 1}, [range(1), range(1, 2)]),
+        ({"MOST_KNOWN": 1, "MOST_KEPT": 1}, [range(2)]),
+    ]
     found = []
-    for name, most, chunks in (
-        ("MOST_ENTRIES", 100, [range(2)]),
-        ("MOST_ENTRIES", 1, [range(1), range(1, 2)]),
-        ("MOST_SUMS", 1, [range(1), range(1, 2)]),
-        ("MOST_KNOWN", 1, [range(2)]),
-        ("MOST_KEPT", 1, [range(2)]),
-    ):
-        with patch.object(vote_triton, name, most):
+    for most, chunks in limits:
+        with patch.multiple(vote_triton, **most):
             prepared = vote_triton.Vote(**arguments, device=torch.device(device))
             assert list(prepared.chunks(buckets, 2)) == chunks
             found.append(prepared.round(2, None, False, buckets))

@@ -67,12 +67,9 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
 
 def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) -> None:
     requests: list[tuple[Any, ...]] = [
-        (camera, "depth"),
-        (camera, "mask"),
-        (camera, "mask", ["thing 1", "thing 2"], [BLUE]),
-        (make_camera(LARGEST_SIDE + 1, 1),),
-        (make_camera(LARGEST_SIDE, 1366), "heat", WORDS[:8], [BLUE] * 8),
-    ]
+        (camera, "depth"), (camera, "mask"), (camera, "mask", ["thing 1", "thing 2"], [BLUE]),
+        (make_camera(LARGEST_SIDE + 1, 1),), (make_camera(LARGEST_SIDE, 1366), "heat", WORDS[:8], [BLUE] * 8),
+    ]  # fmt: skip
     for request in requests:
         with refuses():
             viewed.picture(*request)

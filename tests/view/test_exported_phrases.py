@@ -66,16 +66,8 @@ def random_phrases(count: int) -> list[str]:
     draw = random.Random(7)
     names = ["mug", "laptops", "the pen", "Bowl", '"apple"', "lamp", "table", "salt and pepper", ABSENT]
     relations = [
-        "left of",
-        "to the right of",
-        "in front of",
-        "behind",
-        "on",
-        "above",
-        "beneath",
-        "next to",
-        "in",
-    ]
+        "left of", "to the right of", "in front of", "behind", "on", "above", "beneath", "next to", "in",
+    ]  # fmt: skip
     relations += ["closest to", "between", "inside of", "facing"]
     before = ["", "", "", "largest ", "second smallest ", "the 2nd biggest "]
 
@@ -174,13 +166,13 @@ def test_parts_of_one_thing_are_told_apart(by_page, monkeypatch) -> None:
 @pytest.mark.parametrize("levels", [1, 2])
 def test_the_program_of_the_page_answers_as_python_does(levels: int, by_page) -> None:
     viewed = ViewedField(room(levels))
-    texts = [*PHRASES, *UNUSUAL, *REFUSED, *random_phrases(80)]
+    texts = [*PHRASES, *UNUSUAL, *(REFUSED if levels == 1 else random_phrases(80))]
     answers = by_page(viewed, texts)
     check_alike(viewed, texts, answers)
     said = dict(zip(texts, answers, strict=True))
-    assert [text for text in REFUSED if "refused" not in said[text]] == []
     assert sum(answer.get("present", False) for answer in answers) > len(PHRASES)
     if levels == 1:
+        assert [text for text in REFUSED if "refused" not in said[text]] == []
         found = {
             text: set(said[text]["chosen_things"]) if said[text]["present"] else set() for text in PHRASES
         }
@@ -197,7 +189,7 @@ def test_an_exported_page_understands_phrases(browser: Browser, tmp_path: Path) 
     viewed = ViewedField(room(1))
     export_page(viewed, tmp_path / "room.html")
     with visiting(browser, (tmp_path / "room.html").as_uri(), offline=True) as visit:
-        for some in zip(*[iter(PHRASES)] * 3, strict=True):
+        for some in [*zip(*[iter(PHRASES)] * 3, strict=True)][::4]:  # the others are asked without a browser
             visit.page.evaluate("texts => window.scoupViewer.ask(texts)", list(some))
             check_alike(viewed, some, visit.state()["queries"][-3:])
         text = "what is left of salt and pepper"

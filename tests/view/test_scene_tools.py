@@ -157,12 +157,9 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
 
 
 MISTAKES: list[tuple[str, dict[str, Any]]] = [
-    ("find", {"text": "mug", "limit": "many"}),
-    ("find", {}),
-    ("find", {"text": "mug", "most": 3}),
-    ("find", {"text": "ketle"}),
-    ("describe_thing", {"thing": 9999}),
-]
+    ("find", {"text": "mug", "limit": "many"}), ("find", {}), ("find", {"text": "mug", "most": 3}),
+    ("find", {"text": "ketle"}), ("describe_thing", {"thing": 9999}),
+]  # fmt: skip
 
 
 @pytest.fixture

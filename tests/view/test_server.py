@@ -151,22 +151,18 @@ CAMERA = {
 WRONG: list[tuple[str, dict[str, Any]]] = [
     *(("query", {"texts": texts}) for texts in ([], ["a"] * 9, "kettle", [7], ["x" * 201])),
     *(("query", {"texts": texts}) for texts in (["thing 1 or \ud800"], ["thing 99"])),
-    ("query", {"texts": ["thing 1"], "always": 1}),
-    ("select", {"things": [{"number": 1, "name": "\ud800"}]}),
+    ("query", {"texts": ["thing 1"], "always": 1}), ("select", {"things": [{"number": 1, "name": "\ud800"}]}),
     *(("select", {"texts": ["thing 1"], "level": level}) for level in (2, True)),
     *(("select", {"texts": ["thing 1"], "threshold": threshold}) for threshold in (1.5, "half")),
-    ("point", {"camera": None}),
-    ("render", {}),
-    ("render", {"camera": CAMERA, "texts": ["thing 1"]}),
+    ("point", {"camera": None}), ("render", {}), ("render", {"camera": CAMERA, "texts": ["thing 1"]}),
     *(("render", {"camera": CAMERA, "colors": colors}) for colors in ([[1, 2]], [[1, 2, 256]], 7)),
-    ("render", {"camera": CAMERA, "opacity": None}),
-    ("render", {"camera": {"viewmat": [0] * 15}}),
+    ("render", {"camera": CAMERA, "opacity": None}), ("render", {"camera": {"viewmat": [0] * 15}}),
     ("render", {"camera": {"viewmat": [0] * 16, "K": ["1"] * 9}}),
     *(("render", {"camera": CAMERA | {"viewmat": [number] * 16}}) for number in (0.0, 1e300)),
     ("render", {"camera": CAMERA | {"K": [0.0] * 9}}),
     *(("render", {"camera": CAMERA | {"width": width}}) for width in (0, 10.5)),
     ("render", {"camera": CAMERA | {"height": 5000}}),
-]
+]  # fmt: skip
 
 
 def test_wrong_messages_get_one_sentence(client: TestClient, viewed: ViewedField) -> None:
