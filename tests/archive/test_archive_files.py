@@ -56,6 +56,13 @@ def test_a_scan_is_replaced_and_removed(archive: scoup.Archive, fields: Fields, 
         archive.add(copy)
 
 
+def test_an_archive_that_disappears_is_named(archive: scoup.Archive) -> None:
+    assert archive.find("mug")
+    archive.folder.rename(archive.folder.with_name("elsewhere"))
+    with refuses():
+        archive.find("mug")
+
+
 def test_what_has_not_changed_is_read_once(archive: scoup.Archive, fields: Fields, monkeypatch) -> None:
     read: list[list[str]] = []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 from pathlib import Path
@@ -43,6 +44,7 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
     # Only what is missing is made again, in fields and archive.
     shutil.copy("scans/a/point_cloud.ply", "scans/broken/point_cloud.ply")
     Path("archive/a.parquet").unlink()
+    os.utime("archive/b.parquet", (2e9, 2e9))  # of a clock that was set back since
     times = lambda: [Path(name).stat().st_mtime_ns for name in ("fields/a.scoup", "archive/b.parquet")]  # noqa: E731
     before = times()
     first = said["scans"]["b"]
@@ -52,6 +54,9 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
     assert kept == {"a": True, "b": True, "broken": False}
     assert times() == before
     assert len(run_json("archive", "archive", "--list")["scans"]) == 3
+    Path("fields/b.scoup").unlink()
+    run_json(*command)
+    assert times()[1] < before[1]
 
 
 def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch) -> None:
