@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup import raster
 from scoup.base import InputError, ScoupWarning, listed, share_of
 from scoup.scene import Camera, Gaussians
 from scoup.uplift.near_plane import scene_preset
@@ -223,7 +224,7 @@ def measure_fit(
     photographs = load_photographs(views)
 
     def compared(gaussians: Gaussians, views: Sequence[Camera]) -> tuple[Array, Array]:
-        images, alphas = render_small(gaussians, views, raster_preset, backend)
+        images, alphas = render_small(raster.prepare_gaussians(gaussians, backend), views, raster_preset)
         return (alphas > 0.5).mean((1, 2)), similarities(images, alphas, photographs)
 
     coverage, similarity = compared(gaussians, views)

@@ -55,19 +55,20 @@ def scene_preset(
     if not any(bool(_between(gaussians, view, nearer, usual).any()) for view in views):
         return preset
     small = small_views(views)
-    shares = _shares_cut(gaussians, small, lower, usual, backend)
+    prepared = raster.prepare_gaussians(gaussians, backend)
+    shares = _shares_cut(prepared, small, lower, usual)
     cut = shares >= CUTS
     if not cut.any():
         return preset
     photographs = load_photographs(small)
-    before, after = (
-        np.diagonal(similarities(*render_small(gaussians, small, name, backend), photographs))[cut]
-        for name in (preset, lower)
-    )
-    judged = ~np.isnan(after)
-    if judged.any():
-        gains = (after - np.nan_to_num(before))[judged]
-        return preset if np.median(gains) < -WORSE else lower
+    if not np.isnan(photographs).all():
+        before, after = (
+            np.diagonal(similarities(*render_small(prepared, small, name), photographs))[cut]
+            for name in (preset, lower)
+        )
+        gains = (after - np.nan_to_num(before))[~np.isnan(after)]
+        if len(gains):
+            return preset if np.median(gains) < -WORSE else lower
     if shares.mean() >= MOST_CUT:
         return lower
     warnings.warn(
@@ -97,10 +98,9 @@ def _between(gaussians: Gaussians, view: Camera, low: float, high: float) -> Ten
 
 
 def _shares_cut(
-    gaussians: Gaussians, views: Sequence[Camera], preset: str, plane: float, backend: str | None
+    prepared: raster.PreparedGaussians, views: Sequence[Camera], preset: str, plane: float
 ) -> Array:
     """Return [V] the share of each render that Gaussians before a plane are."""
-    prepared = raster.prepare_gaussians(gaussians, backend)
     shares = []
     for view in views:
         before = _between(prepared.gaussians, view, 0.0, plane).float()[:, None]

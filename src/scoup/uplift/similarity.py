@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scoup import raster
 from scoup.base import ScoupError
 from scoup.io import load_image
-from scoup.scene import SH_C0, Camera, Gaussians
+from scoup.scene import SH_C0, Camera
 
 Array = NDArray[np.float64]
 
@@ -44,10 +44,9 @@ def small_views(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def render_small(
-    gaussians: Gaussians, views: Sequence[Camera], raster_preset: str, backend: str | None
+    prepared: raster.PreparedGaussians, views: Sequence[Camera], raster_preset: str
 ) -> tuple[Array, Array]:
     """Return renders [V, H, W, 3] of the constant part of the colours over black, and their alphas [V, H, W]."""
-    prepared = raster.prepare_gaussians(gaussians, backend)
     colors = (SH_C0 * prepared.gaussians.sh[:, 0] + 0.5).clamp(min=0)
     images, alphas = [], []
     for camera in views:
