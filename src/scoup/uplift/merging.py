@@ -70,7 +70,9 @@ def _agglomerate(
     first: NDArray[np.int32],  # [P]
     second: NDArray[np.int32],  # [P]
     ious: NDArray[np.float64],  # [P]
-    near: list[tuple[NDArray[np.int32], NDArray[np.float64]]],  # overlapping regions, overlaps; changed
+    near: list[
+        tuple[NDArray[Any], NDArray[Any]]
+    ],  # int and float64, of each region: overlapping regions, overlaps; changed
     reach: NDArray[np.float64],  # [R, V], changed
     views: NDArray[np.int64],  # [R]
     least_iou: float,

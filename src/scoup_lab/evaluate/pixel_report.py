@@ -50,7 +50,9 @@ def overall_table(scores: PixelScores) -> Table:
     """Return our row with its intervals, then the published rows; in percent."""
     localizes = scores.localizes
     headers = ("system", "source", *_score_heads(localizes))
-    rows = [(f"{OURS} ({scores.system} rules)", "measured", *_score_cells(scores.scenes))]
+    rows: list[tuple[str, ...]] = [
+        (f"{OURS} ({scores.system} rules)", "measured", *_score_cells(scores.scenes))
+    ]
     for other in scores.published:
         cells = [other.system, "published", _figure(other.miou), "-"]
         cells += [_figure(other.accuracy), "-"] if localizes else []
