@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
@@ -78,8 +77,9 @@ def build(
         check_sums(sums, gaussians, regions, settings)
         regions = regions.select(views.names)
         embeddings = RegionEmbeddings.load(regions)
-        fitted = replace(settings, raster_preset=sums.raster_preset)
-        check_scene(gaussians, views, fitted, sources.geometry_path, check_fit=not len(sums))
+        _warn_of_problems(gaussians)
+        if settings.check_fit and not len(sums):
+            fit.check_fit(gaussians, list(views), sums.raster_preset, settings.backend, sources.geometry_path)
 
         codes = code_regions(embeddings, settings, codebook, gaussians.device, progress)
         inputs = inputs_digest(sums.fingerprint, views, embeddings, settings, codebook)
@@ -135,11 +135,16 @@ def check_scene(
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
         >>> scoup.check_scene(gaussians, cameras, scoup.BuildSettings(check_fit=False))
     """
-    settings = build_settings(settings)
+    settings, views = build_settings(settings), list(cameras)
+    _warn_of_problems(gaussians)
+    if check_fit and settings.check_fit:
+        preset = scene_preset(gaussians, views, settings.raster_preset, settings.backend)
+        fit.check_fit(gaussians, views, preset, settings.backend, splat)
+
+
+def _warn_of_problems(gaussians: Gaussians) -> None:
     for problem in sanity_problems(gaussians):
         warnings.warn(problem, ScoupWarning, stacklevel=3)
-    if check_fit and settings.check_fit:
-        fit.check_fit(gaussians, list(cameras), settings.raster_preset, settings.backend, splat)
 
 
 def pack(

@@ -201,9 +201,10 @@ def check_fit(
     """Raise an InputError for cameras that do not fit the splat, and warn of a doubtful fit, or of photographs with
     which no render can be compared.
 
-    ``splat`` is the file of the Gaussians, for messages.
+    ``raster_preset`` has the near plane of the scene (``scene_preset``); ``splat`` is the file of the Gaussians, for
+    messages.
     """
-    fit = measure_fit(gaussians, cameras, raster_preset, backend)
+    fit = _measured(gaussians, cameras, raster_preset, backend)
     problem = fit.problem(cameras, splat)
     if fit.is_hopeless:
         raise InputError(f"{problem}; {OVERRIDE}")
@@ -216,7 +217,13 @@ def measure_fit(
 ) -> Fit:
     """Render some of the cameras small, and compare the renders with those photographs that can be read; the near plane
     is that of the scene."""
-    raster_preset = scene_preset(gaussians, cameras, raster_preset, backend)
+    return _measured(gaussians, cameras, scene_preset(gaussians, cameras, raster_preset, backend), backend)
+
+
+def _measured(
+    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str, backend: str | None
+) -> Fit:
+    """Return the fit by renders with this near plane."""
     views = sample_views(cameras)
     if not views:
         return Fit((), np.zeros(0), np.zeros((0, 0)))

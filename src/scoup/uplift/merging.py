@@ -21,6 +21,8 @@ from scoup.uplift import constants
 
 Matrix = Any
 """A scipy CSR array, which type checkers know little of."""
+Near = tuple[NDArray[Any], NDArray[Any]]
+"""Regions that overlap with one, and the overlaps."""
 
 ROOT_STEPS = 64.0  # whole numbers that stand for a square root of 1 pixel
 
@@ -70,9 +72,7 @@ def _agglomerate(
     first: NDArray[np.int32],  # [P]
     second: NDArray[np.int32],  # [P]
     ious: NDArray[np.float64],  # [P]
-    near: list[
-        tuple[NDArray[Any], NDArray[Any]]
-    ],  # int and float64, of each region: overlapping regions, overlaps; changed
+    near: list[Near],  # [R], changed
     reach: NDArray[np.float64],  # [R, V], changed
     views: NDArray[np.int64],  # [R]
     least_iou: float,
