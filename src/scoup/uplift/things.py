@@ -7,6 +7,7 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -291,26 +292,31 @@ def find_strays(
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))
     if not len(members):
         return strays
-    members = members[np.argsort(owners[members], kind="stable")]
+    members = members[np.argsort(owners[members].astype(np.min_scalar_type(owners.max())), kind="stable")]
     starts = np.flatnonzero(np.diff(owners[members], prepend=-1))
     points, weights = means[members].astype(np.float64), weights[members]
     ends = np.append(starts[1:], len(members))
-    thing = np.repeat(np.arange(len(starts)), ends - starts)
-    places = [_place(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
-    middles, sizes = np.array([middle for middle, _ in places]), np.array([size for _, size in places])
-    edges = sizes * np.maximum(1 / constants.PER_SIZE, constants.SPACING / np.sqrt(ends - starts))
-    along = (points - middles[thing]) / edges[thing][:, None]
-    cells = np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST
-    keys = thing << 45 | cells[:, 0] << 30 | cells[:, 1] << 15 | cells[:, 2]
-    filled, cell = np.unique(keys, return_inverse=True)
-    component = _touching_parts(filled)[cell]
+    of_things = [_cells(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
+    cells = [thing << 45 | filled for thing, (filled, _) in enumerate(of_things)]
+    first = np.cumsum([0, *map(len, cells)])
+    cell = np.concatenate([number + of_thing for number, (_, of_thing) in zip(first, of_things, strict=False)])
+    component = _touching_parts(np.concatenate(cells))[cell]
     weight = np.bincount(component, weights)
     of_component = np.zeros(len(weight), np.int64)
-    of_component[component] = thing
+    of_component[component] = np.repeat(np.arange(len(starts)), ends - starts)
     body = np.zeros(len(starts))
     np.maximum.at(body, of_component, weight)
     strays[members] = (weight < constants.KEPT * body[of_component])[component]
     return strays
+
+
+def _cells(points: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[Numbers, Numbers]:
+    """Return the cells that the points [M, 3] of a thing fill, rising, and which of them is each point's [M]."""
+    middle, size = _place(points, weights)
+    edge = size * max(1 / constants.PER_SIZE, constants.SPACING / math.sqrt(len(points)))
+    along = (points - middle) / edge
+    x, y, z = (np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST).T
+    return np.unique(x << 30 | y << 15 | z, return_inverse=True)
 
 
 def _place(points: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
