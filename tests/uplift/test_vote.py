@@ -59,9 +59,11 @@ def test_a_process_may_have_no_share(backend):
 
 @needs_native
 @pytest.mark.usefixtures("instruction_set")
-@pytest.mark.parametrize(("n_atoms", "keep"), [(24, 4), (24, 24), (300, 300)])
-def test_every_instruction_set_agrees_also_where_all_atoms_are_kept(n_atoms, keep):
-    check_rounds(NativeVote, Sizes(n_gaussians=7200 // n_atoms, n_atoms=n_atoms), keep, 7)
+@pytest.mark.parametrize(
+    ("n_atoms", "k", "keep"), [(24, 4, 4), (24, 4, 24), (300, 4, 300), (24, 1, 1), (600, 1, 1)]
+)
+def test_every_instruction_set_agrees_also_where_all_or_one_is_kept(n_atoms, k, keep):
+    check_rounds(NativeVote, Sizes(n_gaussians=7200 // n_atoms, n_atoms=n_atoms, k=k), keep, 7)
 
 
 def test_the_reference_adds_codes_up_as_written():

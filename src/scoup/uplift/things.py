@@ -74,7 +74,9 @@ def find_things(
     of_levels = _of_all_levels(of_level, len(levels), progress)
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        strays = _of_all_levels(lambda number: _drop_strays(sums, owners[:, number], entries.total), len(levels))
+        strays = _of_all_levels(
+            lambda number: _drop_strays(sums, owners[:, number], entries.total), len(levels)
+        )
     return FoundThings(_number_things(of_levels, owners), strays)
 
 
@@ -299,7 +301,9 @@ def find_strays(
     of_things = [_cells(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
     cells = [thing << 45 | filled for thing, (filled, _) in enumerate(of_things)]
     first = np.cumsum([0, *map(len, cells)])
-    cell = np.concatenate([number + of_thing for number, (_, of_thing) in zip(first, of_things, strict=False)])
+    cell = np.concatenate(
+        [number + of_thing for number, (_, of_thing) in zip(first, of_things, strict=False)]
+    )
     component = _touching_parts(np.concatenate(cells))[cell]
     weight = np.bincount(component, weights)
     of_component = np.zeros(len(weight), np.int64)
