@@ -101,6 +101,22 @@ def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets():
 
 
 @needs_native
+@pytest.mark.parametrize("n_atoms", [24, 600])
+def test_of_equal_sums_of_regions_of_one_atom_the_first_is_kept(n_atoms):
+    arguments = random_vote(Sizes(n_atoms=n_atoms, k=1), 11)
+    arguments["views"] = [
+        replace(view, entries=replace(view.entries, weights=np.ones_like(view.entries.weights)))
+        for view in arguments["views"]
+    ]
+    found, expected = (
+        backend(**arguments, device=CPU).round(1, None, False, buckets_of(arguments))
+        for backend in (NativeVote, ReferenceVote)
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one, other)
+
+
+@needs_native
 @settings(max_examples=examples(40), deadline=None)
 @given(
     n_atoms=st.sampled_from([1, 2, 16, 33, 256, 257, 1024]),
