@@ -146,6 +146,7 @@ class Vote::Worker {
     template <class Index>
     void keep(int64_t place, int32_t k, bool unit_norm, Index* indices, float* weights) {
         const int32_t n_atoms = vote_.n_atoms_;
+        if (k == 1 && !unit_norm && codes_.k_of_all == vote_.levels()) return keep_largest(place, indices, weights);
         const bool few_named = n_atoms > kWide && k <= kMostByInsertion;
         found_.resize(size_t(std::max(n_atoms, k)));
         atoms_.resize(found_.size());
@@ -216,6 +217,32 @@ class Vote::Worker {
         return {products_.data(), is_coded_.get(), earlier.sharpness};
     }
 
+    // The same for the largest alone, of regions of one atom: every level in one pass over the entries.
+    template <class Index>
+    void keep_largest(int64_t place, Index* indices, float* weights) {
+        const int32_t levels = vote_.levels();
+        largest_.assign(size_t(levels), Share{0, 0.0f});
+        Share* const largest = largest_.data();
+        float* const sums = sums_.data();
+        const VoteEntry* entries = entries_of(place);
+        for (int64_t i = 0; i < entries_in(place); ++i) {
+            const Share* share = codes_.shares + int64_t(entries[i].combination) * levels;
+            for (int32_t level = 0; level < levels; ++level) {
+                const Share here = {share[level].place, std::exchange(sums[share[level].place], 0.0f)};
+                if (before(here, largest[level])) largest[level] = here;
+            }
+        }
+        for (int32_t level = 0; level < levels; ++level) {
+            const bool found = largest[level].weight > 0;
+            weights[level] = found ? 1.0f : 0.0f;
+            indices[level] = Index(found ? largest[level].place - level * vote_.n_atoms_ : 0);
+        }
+    }
+
+    static bool before(const Share& a, const Share& b) {
+        return a.weight > b.weight || (a.weight == b.weight && a.place < b.place);
+    }
+
     // Of those of a level that the Gaussian's entries name, the largest positive ones, the first atom of equals. Each is
     // set to zero when it is met: none counts twice.
     int32_t take_largest_named(int64_t place, int32_t level, int32_t k) {
@@ -235,9 +262,7 @@ class Vote::Worker {
             }
         }
         const int64_t count = std::min<int64_t>(k, n_named);
-        std::partial_sort(named, named + count, named + n_named, [](const Share& a, const Share& b) {
-            return a.weight > b.weight || (a.weight == b.weight && a.place < b.place);
-        });
+        std::partial_sort(named, named + count, named + n_named, before);
         for (int64_t j = 0; j < count; ++j) {
             found_[size_t(j)] = named[j].weight;
             atoms_[size_t(j)] = named[j].place - level * vote_.n_atoms_;
@@ -262,7 +287,7 @@ class Vote::Worker {
     int64_t count_ = 0;
     std::vector<uint32_t> starts_, next_;
     std::vector<VoteEntry> entries_;
-    std::vector<Share> named_;
+    std::vector<Share> named_, largest_;
     std::vector<float> sums_, products_, factors_, found_;
     std::vector<int32_t> atoms_;
     std::vector<const float*> rows_;

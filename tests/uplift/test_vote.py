@@ -59,9 +59,11 @@ def test_a_process_may_have_no_share(backend):
 
 @needs_native
 @pytest.mark.usefixtures("instruction_set")
-@pytest.mark.parametrize(("n_atoms", "keep"), [(24, 4), (24, 24), (300, 300)])
-def test_every_instruction_set_agrees_also_where_all_atoms_are_kept(n_atoms, keep):
-    check_rounds(NativeVote, Sizes(n_gaussians=7200 // n_atoms, n_atoms=n_atoms), keep, 7)
+@pytest.mark.parametrize(
+    ("n_atoms", "k", "keep"), [(24, 4, 4), (24, 4, 24), (300, 4, 300), (24, 1, 1), (600, 1, 1)]
+)
+def test_every_instruction_set_agrees_also_where_all_or_one_is_kept(n_atoms, k, keep):
+    check_rounds(NativeVote, Sizes(n_gaussians=7200 // n_atoms, n_atoms=n_atoms, k=k), keep, 7)
 
 
 def test_the_reference_adds_codes_up_as_written():
@@ -96,6 +98,22 @@ def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets():
         expected = expected or found
         assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
         assert torch.equal(torch.cat([weights for _, weights in parts]), expected[1])
+
+
+@needs_native
+@pytest.mark.parametrize("n_atoms", [24, 600])
+def test_of_equal_sums_of_regions_of_one_atom_the_first_is_kept(n_atoms):
+    arguments = random_vote(Sizes(n_atoms=n_atoms, k=1), 11)
+    arguments["views"] = [
+        replace(view, entries=replace(view.entries, weights=np.ones_like(view.entries.weights)))
+        for view in arguments["views"]
+    ]
+    found, expected = (
+        backend(**arguments, device=CPU).round(1, None, False, buckets_of(arguments))
+        for backend in (NativeVote, ReferenceVote)
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one, other)
 
 
 @needs_native

@@ -26,7 +26,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
         raise InputError(f"{what} must be floating-point numbers, got {rows.dtype}")
     rows = rows.float()
     # A value that is not finite makes the sum not finite: check single values only then.
-    if not torch.isfinite(rows.abs().sum()):
+    if not torch.isfinite(rows.sum()):
         bad = ~torch.isfinite(rows).all(1)
         if bad.any():
             raise InputError(
@@ -52,9 +52,10 @@ def unit_rows(vectors: Tensor | ArrayLike, what: str = "embeddings", lengthen: b
     without ``lengthen``, those of a norm below 1, too."""
     rows = float_rows(vectors, what)
     excess = torch.linalg.vector_norm(rows, dim=1) - 1
-    off = ~((excess.abs() if lengthen else excess) <= NEARLY_UNIT) & (rows != 0).any(1)
+    off = ~((excess.abs() if lengthen else excess) <= NEARLY_UNIT)
     if not off.any():
         return rows
+    off &= (rows != 0).any(1)
     return torch.where(off[:, None], normalise_embeddings(rows), rows)
 
 

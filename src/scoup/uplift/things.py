@@ -7,15 +7,17 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import InputError, Progress, no_progress, spread
+from scoup.base import InputError, Progress, no_progress, reported, spread, worked_ahead
 from scoup.field import MOST_THINGS, NO_THING, ThingTable
 from scoup.scene import SparseCodes, index_dtype, linked_parts, nearest_points, normalise_embeddings
 from scoup.uplift import constants
@@ -28,6 +30,7 @@ SAMPLED = 1000  # Gaussians of a thing, about which decide its size
 FARTHEST = 1 << 14  # cells from its middle; those beyond count as there
 APART = 1 << 17  # cells between the middles of two things
 Numbers = NDArray[np.int64]
+_Result = TypeVar("_Result")
 
 
 def find_things(
@@ -60,17 +63,29 @@ def find_things(
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
     entries = _strong_entries(sums, names)
-    of_levels: list[_LevelThings] = []
-    for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
-        progress("things", number, len(embeddings))
-        matrix = _by_region(entries, number, len(of_level))
+    levels = list(zip(sums.rows, embeddings, strict=True))
+
+    def of_level(number: int) -> _LevelThings:
+        rows, of_regions = levels[number]
+        matrix = _by_region(entries, number, len(of_regions))
         view_rows = {name: rows[name] for name in names}
-        of_levels.append(_things_of_level(matrix, view_rows, of_level, MOST_THINGS // len(embeddings)))
-    progress("things", len(embeddings), len(embeddings))
+        return _things_of_level(matrix, view_rows, of_regions, MOST_THINGS // len(levels))
+
+    of_levels = _of_all_levels(of_level, len(levels), progress)
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
+        strays = _of_all_levels(
+            lambda number: _drop_strays(sums, owners[:, number], entries.total), len(levels)
+        )
     return FoundThings(_number_things(of_levels, owners), strays)
+
+
+def _of_all_levels(
+    work: Callable[[int], _Result], count: int, progress: Progress = no_progress
+) -> list[_Result]:
+    """Return what ``work`` makes of each level, several at a time."""
+    results = worked_ahead(work, range(count), min(count, torch.get_num_threads()))
+    return [future.result() for _, future in reported(results, "things", count, progress)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,26 +294,33 @@ def find_strays(
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))
     if not len(members):
         return strays
-    members = members[np.argsort(owners[members], kind="stable")]
+    members = members[np.argsort(owners[members].astype(np.min_scalar_type(owners.max())), kind="stable")]
     starts = np.flatnonzero(np.diff(owners[members], prepend=-1))
     points, weights = means[members].astype(np.float64), weights[members]
     ends = np.append(starts[1:], len(members))
-    thing = np.repeat(np.arange(len(starts)), ends - starts)
-    places = [_place(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
-    middles, sizes = np.array([middle for middle, _ in places]), np.array([size for _, size in places])
-    edges = sizes * np.maximum(1 / constants.PER_SIZE, constants.SPACING / np.sqrt(ends - starts))
-    along = (points - middles[thing]) / edges[thing][:, None]
-    cells = np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST
-    keys = thing << 45 | cells[:, 0] << 30 | cells[:, 1] << 15 | cells[:, 2]
-    filled, cell = np.unique(keys, return_inverse=True)
-    component = _touching_parts(filled)[cell]
+    of_things = [_cells(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
+    cells = [thing << 45 | filled for thing, (filled, _) in enumerate(of_things)]
+    first = np.cumsum([0, *map(len, cells)])
+    cell = np.concatenate(
+        [number + of_thing for number, (_, of_thing) in zip(first, of_things, strict=False)]
+    )
+    component = _touching_parts(np.concatenate(cells))[cell]
     weight = np.bincount(component, weights)
     of_component = np.zeros(len(weight), np.int64)
-    of_component[component] = thing
+    of_component[component] = np.repeat(np.arange(len(starts)), ends - starts)
     body = np.zeros(len(starts))
     np.maximum.at(body, of_component, weight)
     strays[members] = (weight < constants.KEPT * body[of_component])[component]
     return strays
+
+
+def _cells(points: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[Numbers, Numbers]:
+    """Return the cells that the points [M, 3] of a thing fill, rising, and which of them is each point's [M]."""
+    middle, size = _place(points, weights)
+    edge = size * max(1 / constants.PER_SIZE, constants.SPACING / math.sqrt(len(points)))
+    along = (points - middle) / edge
+    x, y, z = (np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST).T
+    return np.unique(x << 30 | y << 15 | z, return_inverse=True)
 
 
 def _place(points: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
