@@ -284,8 +284,7 @@ class Archive:
             remedy = "pass a word table or model as `encoder`"
             raise InputError(f"{self.folder}: does not say what encodes texts; {remedy}")
         if not source or not (about or field):  # or it has disappeared
-            problem = "contains no scan" if self.folder.is_dir() else "there is no such archive"
-            raise InputError(f"{self.folder}: {problem}; add fields first")
+            raise self._empty()
         opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)
         if about and opened.dim != about["dim"]:
             raise InputError(
@@ -343,13 +342,17 @@ class Archive:
             self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
         return self._cached[1]
 
+    def _empty(self) -> InputError:
+        problem = "contains no scan" if self.folder.is_dir() else "there is no such archive"
+        return InputError(f"{self.folder}: {problem}; add fields first")
+
     def _embedded(self, pixels: NDArray[np.uint8]) -> Tensor:
         """Return the vector [D] of an image [H, W, 3] by the embedding model of the archive."""
         from scoup.extract import embed_image, open_embedder
 
         about = self._about()
         if not about:
-            raise InputError(f"{self.folder}: contains no scan; add fields")
+            raise self._empty()
         try:
             self._embedder = self._embedder or open_embedder(about["embedding_model"])
             if self._embedder.dim != about["dim"]:
