@@ -72,7 +72,8 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch, tmp
     export_page(viewed, tmp_path / "page", split=True)
     with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
         whole_scene(visit, viewed)
-        assert sorted(asked(visit, "part_")) == [f"part_{number}.js" for number in range(viewed.n_parts)]
+        files = sorted(end.partition("?")[0] for end in asked(visit, "part_"))
+        assert files == [f"part_{number}.js" for number in range(viewed.n_parts)]
     held, busy = threading.Event(), [True]
     part = viewed.part
 
@@ -117,6 +118,37 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
         assert said == "A part of the scene is missing: scene.scoup: damaged"
         assert 0 < visit.state()["gaussians"] <= 60
         assert "400" in visit.problems.pop()
+
+
+@pytest.mark.usefixtures("in_parts")
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("scene.js", "removed"),
+        ("words.js", "damaged"),
+        ("words.js", "of another export"),
+        ("part_1.js", "damaged"),
+        ("part_1.js", "of another export"),
+    ],
+)
+def test_files_that_do_not_belong_to_the_page_are_named(
+    browser: Browser, tmp_path: Path, name: str, change: str
+) -> None:
+    field = things_field().with_encoder(table())
+    for folder, words in (("page", None), ("other", ["mug"])):
+        export_page(ViewedField(field, words), tmp_path / folder, split=True)
+    file = tmp_path / "page" / name
+    text = file.read_text()
+    middle = len(text) // 2
+    damaged = f"{text[:middle]}{'B' if text[middle] == 'A' else 'A'}{text[middle + 1 :]}"
+    file.write_text(damaged if change == "damaged" else (tmp_path / "other" / name).read_text())
+    if change == "removed":
+        file.unlink()
+    page = browser.new_page()
+    page.goto((tmp_path / "page" / "index.html").as_uri())
+    said = f"{name} is missing, damaged or of another export; reload the page, or export it again"
+    page.locator("#message, #loading-text", has_text=said).wait_for()
+    page.close()
 
 
 def four_places() -> LanguageField:
