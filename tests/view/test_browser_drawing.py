@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -118,6 +119,17 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
         assert said == "A part of the scene is missing: scene.scoup: damaged"
         assert 0 < visit.state()["gaussians"] <= 60
         assert "400" in visit.problems.pop()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_page_that_was_cut_short_says_so(browser: Browser, tmp_path: Path, share: float) -> None:
+    file = tmp_path / "page.html"
+    export_page(ViewedField(things_field().with_encoder(table())), file)
+    os.truncate(file, int(share * file.read_bytes().index(b"<!--")))  # of all but the licences
+    page = browser.new_page()
+    page.goto(file.as_uri())
+    assert page.inner_text("body") == "this page is cut short; copy it again, or export it again"
+    page.close()
 
 
 @pytest.mark.usefixtures("in_parts")
