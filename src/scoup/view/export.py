@@ -7,6 +7,7 @@ import hashlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -98,14 +99,10 @@ def _export(
         old = [part for part in out.glob("part_[0-9]*.js") if overwrite and part.name not in names]
         with staged(out, names, overwrite, old) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
-            for name, value in data.items():
-                script = _assignment(f"{target}.{name}", value)
-                (hidden / f"{name}.js").write_text(script, encoding="utf-8")
-            for number, name in enumerate(
-                names[len(FOLDER_FILES) :]
-            ):  # one after another, as the page loads them
-                script = _assignment(f"{target}.parts[{number}]", encoded_part(number))
-                (hidden / name).write_text(script, encoding="utf-8")
+            # One part after another, as the page loads them.
+            parts = ((f"parts[{number}]", encoded_part(number)) for number in range(viewed.n_parts))
+            for file, (name, value) in zip(names[1:], chain(data.items(), parts), strict=True):
+                (hidden / file).write_text(_assignment(f"{target}.{name}", value), encoding="utf-8")
         size = sum((out / name).stat().st_size for name in names)
     else:
         whole = {**data, "parts": [encoded_part(number) for number in range(viewed.n_parts)]}
