@@ -125,6 +125,7 @@ def test_a_damaged_matrix_is_named(archive: scoup.Archive, fields: Fields, damag
     matrix.write_bytes(data if damage == "flip" else data[: len(data) // 2])
     if damage == "remove":
         matrix.unlink()
+    assert found_by(archive) == wanted  # it has read the vectors
     with refuses(FileFormatError):
         scoup.Archive(archive.folder).find("mug")
     assert set(scoup.Archive(archive.folder).scans()) == set(fields)

@@ -3,6 +3,10 @@ misbehave on purpose, which it must find."""
 
 from __future__ import annotations
 
+import builtins
+import errno
+import io
+import os
 import shutil
 import sys
 import warnings
@@ -10,13 +14,14 @@ from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.fuzzing.containers import join_parts
 from tests.fuzzing.mutation import damage
 from tests.fuzzing.readers import READERS, Memory, Reader
-from tests.fuzzing.samples import write_samples
+from tests.fuzzing.samples import OTHER_SPLATS, write_samples
 from tests.fuzzing.target import Misbehaviour, file_of, pack_parts, seeds_of, target_of, unpack_parts
 
 from scoup.base import FileFormatError, ScoupWarning
@@ -24,6 +29,9 @@ from support import examples
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are those of Linux")
 COUNT, SEED = examples(120), 7
+OPENED_BY_OTHERS = {"regions", "region sums", "scene of region sums", "words.safetensors", "scan of an archive",
+                    "spz, unpacked", *(ending[1:] for ending in OTHER_SPLATS)}  # fmt: skip
+"""Files that Python does not open, or only tests do."""
 NOT_SHARED = {"spz, unpacked", "config.yml", "cfg.yml", "archive.json"}  # by Git LFS
 
 
@@ -87,6 +95,24 @@ def test_containers_are_put_together_as_they_were(samples: Path, name: str) -> N
         last = max(range(len(parts)), key=lambda place: len(parts[place]))
         parts[last] = parts[last][1:]
         assert join_parts(container, whole, parts) != again
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name not in OPENED_BY_OTHERS])
+def test_a_disk_that_fails_is_named(samples: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, own, reason = READERS[name], io.open, os.strerror(errno.EIO)
+    file = samples / reader.file
+
+    def failing(path: Any, *arguments: Any, **options: Any) -> Any:
+        if isinstance(path, (str, os.PathLike)) and Path(path) == file:
+            raise OSError(errno.EIO, reason, str(path))
+        return own(path, *arguments, **options)
+
+    for module in (io, builtins):
+        monkeypatch.setattr(module, "open", failing)
+    with pytest.raises(FileFormatError) as refused:
+        reader.read(samples)
+    problem = f"cannot be read ({reason}); check its disk or network drive, and retry"
+    assert str(refused.value) == f"{file}: {problem}"
 
 
 def test_parts_are_packed_and_cut_short() -> None:

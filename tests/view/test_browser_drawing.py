@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -72,7 +73,8 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch, tmp
     export_page(viewed, tmp_path / "page", split=True)
     with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
         whole_scene(visit, viewed)
-        assert sorted(asked(visit, "part_")) == [f"part_{number}.js" for number in range(viewed.n_parts)]
+        files = sorted(end.partition("?")[0] for end in asked(visit, "part_"))
+        assert files == [f"part_{number}.js" for number in range(viewed.n_parts)]
     held, busy = threading.Event(), [True]
     part = viewed.part
 
@@ -117,6 +119,48 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
         assert said == "A part of the scene is missing: scene.scoup: damaged"
         assert 0 < visit.state()["gaussians"] <= 60
         assert "400" in visit.problems.pop()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_page_that_was_cut_short_says_so(browser: Browser, tmp_path: Path, share: float) -> None:
+    file = tmp_path / "page.html"
+    export_page(ViewedField(things_field().with_encoder(table())), file)
+    os.truncate(file, int(share * file.read_bytes().index(b"<!--")))  # of all but the licences
+    page = browser.new_page()
+    page.goto(file.as_uri())
+    assert page.inner_text("body") == "this page is cut short; copy it again, or export it again"
+    page.close()
+
+
+@pytest.mark.usefixtures("in_parts")
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("scene.js", "removed"),
+        ("words.js", "damaged"),
+        ("words.js", "of another export"),
+        ("part_1.js", "damaged"),
+        ("part_1.js", "of another export"),
+    ],
+)
+def test_files_that_do_not_belong_to_the_page_are_named(
+    browser: Browser, tmp_path: Path, name: str, change: str
+) -> None:
+    field = things_field().with_encoder(table())
+    for folder, words in (("page", None), ("other", ["mug"])):
+        export_page(ViewedField(field, words), tmp_path / folder, split=True)
+    file = tmp_path / "page" / name
+    text = file.read_text()
+    middle = len(text) // 2
+    damaged = f"{text[:middle]}{'B' if text[middle] == 'A' else 'A'}{text[middle + 1 :]}"
+    file.write_text(damaged if change == "damaged" else (tmp_path / "other" / name).read_text())
+    if change == "removed":
+        file.unlink()
+    page = browser.new_page()
+    page.goto((tmp_path / "page" / "index.html").as_uri())
+    said = f"{name} is missing, damaged or of another export; reload the page, or export it again"
+    page.locator("#message, #loading-text", has_text=said).wait_for()
+    page.close()
 
 
 def four_places() -> LanguageField:

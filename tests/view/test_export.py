@@ -90,8 +90,11 @@ def test_a_folder_holds_the_same_and_a_large_scene_in_parts(tmp_path: Path, monk
     wanted = [viewed.part(number) for number in range(2)]
     assert [gzip.decompress(part) for part in packed] == [gzip.decompress(part) for part in wanted]
     assert report.scene_bytes == len(scene) + sum(map(len, packed))
+    index = (folder / "index.html").read_text()
+    target, mark = re.findall(r"= (window.scoup_(\w+)) =", index)[0]  # of other exports, it is another
     for number, part in enumerate(data["parts"]):
-        assert data_of(folder / f"part_{number}.js", f"window.scoupData.parts[{number}]") == part
+        assert data_of(folder / f"part_{number}.js", f"{target}.parts[{number}]") == part
+    assert re.findall(r'src="([^"]*)"', index) == [f"{name}?{mark}" for name in FOLDER_FILES[1:]]
     (folder / "party.js").touch()  # of somebody else
     with pytest.raises(OutputExistsError):
         export_page(viewed, folder, split=True)
@@ -99,9 +102,9 @@ def test_a_folder_holds_the_same_and_a_large_scene_in_parts(tmp_path: Path, monk
         monkeypatch.setattr(f"scoup.view.parts.{name}", 60)
         report = export_page(viewed_field(), folder, split=True, overwrite=True)
         assert_holds(folder, report, "party.js", *kept)
-    index = (folder / "index.html").read_text()
-    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js", "things.js"]
-    scene = data_of(folder / "scene.js", "window.scoupData.scene")
+    other = re.findall(r"= (window.scoup_\w+) =", (folder / "index.html").read_text())[0]
+    assert other != target
+    scene = data_of(folder / "scene.js", f"{other}.scene")
     assert unpacked(base64.b64decode(scene))[1]["n_gaussians"] == 60
 
 

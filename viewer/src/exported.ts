@@ -6,10 +6,11 @@ import type { Metadata, Thing } from "./scene_data";
 import { Vocabulary, type WordsMetadata } from "./vocabulary";
 
 interface PageData {
+  /** Of the export, if it has several files. */
+  mark?: string;
   scene: string;
   words: string;
   thumbnails: (string | null)[];
-  things: Thing[];
   /** Of a large scene; of a page in several files, those that are loaded. */
   parts: string[];
 }
@@ -27,22 +28,24 @@ export class ExportedPage implements Source {
   private words: Vocabulary | null = null;
 
   constructor() {
-    if (!window.scoupData?.scene) throw new Error("the data of this page is missing; the files beside it belong to it");
-    this.data = window.scoupData;
+    this.data = window.scoupData ?? ({} as PageData);
+    for (const name of ["scene", "words", "thumbnails"] as const) {
+      if (this.data[name] === undefined) throw this.unusable(name);
+    }
   }
 
   scene(progress: Progress): Promise<Packed> {
     progress("opening", 0, 0);
-    this.packed ??= unpack(fromBase64(this.data.scene));
+    this.packed ??= this.unpacked("scene", this.data.scene);
     return this.packed;
   }
 
   async part(number: number): Promise<Packed> {
-    const { parts } = this.data;
-    if (!parts[number]) await loaded(`part_${number}.js`);
+    const { parts, mark } = this.data;
+    if (!parts[number]) await loaded(`part_${number}.js?${mark}`);
     const text = parts[number];
     parts[number] = "";
-    return unpack(fromBase64(text));
+    return this.unpacked(`part_${number}`, text);
   }
 
   async metadata(): Promise<Metadata> {
@@ -54,7 +57,7 @@ export class ExportedPage implements Source {
   }
 
   async things(): Promise<Thing[]> {
-    return this.data.things;
+    return (await this.metadata()).things!;
   }
 
   thumbnail(camera: number): string | null {
@@ -64,7 +67,7 @@ export class ExportedPage implements Source {
 
   async ask(texts: string[]): Promise<Answer[]> {
     if (!this.data.words) throw new Error("this page was exported without words");
-    this.words ??= new Vocabulary(await this.unpackedWords(), this.data.things);
+    this.words ??= new Vocabulary(await this.unpackedWords(), await this.things());
     return texts.map((text) => this.words!.answer(text));
   }
 
@@ -82,18 +85,30 @@ export class ExportedPage implements Source {
   }
 
   private unpackedWords(): Promise<Packed> {
-    this.packedWords ??= unpack(fromBase64(this.data.words));
+    this.packedWords ??= this.unpacked("words", this.data.words);
     return this.packedWords;
+  }
+
+  private async unpacked(name: string, text: string): Promise<Packed> {
+    try {
+      return await unpack(fromBase64(text));
+    } catch {
+      throw this.unusable(name);
+    }
+  }
+
+  private unusable(name: string): Error {
+    const problem = this.data.mark ? `${name}.js is missing, damaged or of another export` : "this page is damaged";
+    return new Error(`${problem}; reload the page, or export it again`);
   }
 }
 
-/** Run a script beside the page. */
+/** Run a script beside the page, if it is there. */
 function loaded(name: string): Promise<void> {
-  return new Promise((resolve, reject) => {
+  return new Promise((resolve) => {
     const script = document.createElement("script");
     script.src = name;
-    script.onload = () => resolve();
-    script.onerror = () => reject(new Error(`${name} is missing; the files beside this page belong to it`));
+    script.onload = script.onerror = () => resolve();
     document.head.append(script);
   });
 }

@@ -29,6 +29,8 @@ export interface Metadata {
   most?: number;
   /** Things of all levels; missing where the field has none. */
   n_things?: number;
+  /** All of them, in an exported page. */
+  things?: Thing[];
   cameras: CameraRecord[];
 }
 

@@ -92,7 +92,7 @@ export class Viewer {
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
     viewer.describe();
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
-    void viewer.prepareWords(scene && metadata.n_things ? viewer.listThings() : null);
+    viewer.prepareWords(scene && metadata.n_things ? viewer.listThings() : null).catch((error: Error) => viewer.say(error.message));
     viewer.stage.redraw();
     if (metadata.parts) viewer.whole = viewer.loadParts(scene!);
     return viewer;

@@ -320,7 +320,9 @@ class Archive:
                 problem = "there is no such file beside the Parquet files"
                 raise MissingFileError(path, problem, "restore it, or use another folder") from error
             return {}
-        except (ValueError, LookupError, TypeError, OSError, OverflowError, RecursionError) as error:
+        except OSError as error:
+            raise FileFormatError.unreadable(path, error) from error
+        except (ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
             if isinstance(error, ScoupError):
                 raise
             remedy = "restore it, or add the fields to a new archive"

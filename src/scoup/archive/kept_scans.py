@@ -1,4 +1,4 @@
-"""The scans of an archive in memory, and their vectors: a matrix [rows, D] of float16 in one file, mapped into memory.
+"""The scans of an archive in memory, and their vectors: a matrix [rows, D] of float16 in one file.
 
 Writers hold the lock of the matrix. They write the vectors of a scan to free rows, then its Parquet file, which names
 these rows. So a killed writer leaves free rows. Readers hold no lock: they ask again if a scan that answers has changed
@@ -22,7 +22,7 @@ from torch import Tensor
 
 from scoup.archive.scan_files import Scan, read_scans
 from scoup.archive.scan_header import ENDING, file_of, scan_names
-from scoup.base import FileFormatError, MissingFileError, WriteError, locked, refuse_pointer
+from scoup.base import FileFormatError, MissingFileError, WriteError, existing_file, locked
 from scoup.query import ThingIndex
 
 if TYPE_CHECKING:
@@ -50,7 +50,6 @@ class KeptScans:
         self._parts: dict[Scan, ThingIndex] = {}
         self._index: ThingIndex | None = None  # of these parts
         self._digest = ""  # of their words
-        self._mapped = 0  # bytes of the matrix
 
     def ask(
         self,
@@ -79,10 +78,6 @@ class KeptScans:
         with self._lock:
             if digest and digest != self._digest:
                 self._parts, self._digest = {}, digest
-            if (
-                self._parts and self._matrix_size() < self._mapped
-            ):  # reading beyond the end of the file would end the process
-                self._parts, self._index = {}, None
             if self._index is None or [*scans.values()] != [*self._parts]:
                 new = [scan for scan in scans.values() if scan not in self._parts]
                 parts = self._parts | dict(zip(new, self._compared(new, words), strict=True))
@@ -142,27 +137,31 @@ class KeptScans:
             self._scans = known
             return {name: known[name][1] for name in stamps}
 
-    def _matrix_size(self) -> int:
-        path = self._folder / MATRIX
-        return path.stat().st_size if path.is_file() else 0
-
     def _compared(self, scans: Sequence[Scan], words: Tensor) -> Iterator[ThingIndex]:
-        path, data = self._folder / MATRIX, np.empty(0, np.uint8)
-        self._mapped = self._matrix_size()
-        if self._mapped:
-            data = np.memmap(path, np.uint8, "c")  # private, as torch warns about read-only arrays
-        size = 2 * words.shape[1]
         for scan in scans:
-            rows = data[scan.row * size : (scan.row + len(scan)) * size]
-            if zlib.crc32(rows.data) != scan.vectors_checksum:
-                refuse_pointer(path)
-                problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
-                raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
-            vectors = torch.from_numpy(rows.view("<f2").reshape(len(scan), -1))
-            if not vectors.isfinite().all():
-                problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
-                raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
-            yield scan.index(vectors, words, self._digest)
+            yield scan.index(self._vectors(scan, words.shape[1]), words, self._digest)
+
+    def _vectors(self, scan: Scan, dim: int) -> Tensor:
+        """Return the vectors [T, dim] of a scan, in memory: mapped ones would end the process if the file is cut."""
+        remedy = "add the field of this scan again, or remove it"
+        path = existing_file(
+            self._folder / MATRIX, f"a matrix with the vectors of the scan {scan.name}", remedy
+        )
+        rows = np.empty((len(scan), dim), "<f2")
+        try:
+            with path.open("rb") as stream:
+                end = os.fstat(stream.fileno()).st_size  # a damaged row may be too large for seek
+                stream.seek(min(scan.row * dim * rows.itemsize, end))
+                size = stream.readinto(rows.data.cast("B"))
+        except OSError as error:
+            raise FileFormatError.unreadable(path, error) from error
+        if size < rows.nbytes or zlib.crc32(rows.data) != scan.vectors_checksum:
+            raise FileFormatError(path, f"is damaged in the vectors of the scan {scan.name}", remedy)
+        vectors = torch.from_numpy(rows)
+        if not vectors.isfinite().all():
+            problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
+            raise FileFormatError(path, problem, remedy)
+        return vectors
 
 
 def free_row(scans: Iterable[Scan], count: int) -> int:

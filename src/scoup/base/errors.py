@@ -68,6 +68,8 @@ def remedy_of(error: OSError) -> str:
         return "raise the limit of open files (ulimit -n)"
     if error.errno == errno.ENAMETOOLONG:
         return "choose a shorter name"
+    if error.errno in (errno.EIO, getattr(errno, "ESTALE", errno.EIO)):
+        return "check its disk or network drive, and retry"
     return ""
 
 

@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -345,7 +345,12 @@ def staged(
     # In the nearest existing folder: on the same file system, moving is only renaming.
     home = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.is_dir())
     work = home / slug(" ".join([folder.name, *files[:1]]))
-    with temporary_output(work, overwrite=True) as hidden, refusals_named(folder, hidden):
+    with ExitStack() as opened:
+        try:
+            hidden = opened.enter_context(temporary_output(work, overwrite=True))
+        except OutputInUseError:
+            raise OutputInUseError(folder.joinpath(*files[:1])) from None
+        opened.enter_context(refusals_named(folder, hidden))
         hidden.mkdir()
         yield hidden
         written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]

@@ -104,9 +104,9 @@ def _damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
         yield
     except ScoupError:
         raise
-    except FileNotFoundError as error:
+    except OSError as error:
         raise FileFormatError.unreadable(path, error) from error
-    except (SafetensorError, ValueError, KeyError, TypeError, OSError, RuntimeError, OverflowError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError, RuntimeError, OverflowError) as error:
         words = [] if isinstance(error, SafetensorError) else str(error).splitlines()  # not the library's
         reason = f" ({words[0]})" if words else ""
         raise FileFormatError(path, f"is not {what} or is damaged{reason}", remedy) from error

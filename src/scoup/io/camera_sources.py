@@ -21,7 +21,7 @@ from scoup.io.cameras.training_run import (
     nerfstudio_data,
 )
 from scoup.io.image_folder import EXTENSIONS
-from scoup.io.reading import Distorted
+from scoup.io.reading import Distorted, read_bytes
 from scoup.scene import Cameras
 
 _SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
@@ -45,10 +45,8 @@ def _is_of_model(path: Path) -> bool:
 
 
 def _is_list(path: Path) -> bool:
-    if path.suffix.lower() != ".json":
-        return False
-    with open(path, "rb") as stream:
-        return stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+    blank = b"\xef\xbb\xbf \t\r\n"
+    return path.suffix.lower() == ".json" and read_bytes(path)[:4096].lstrip(blank).startswith(b"[")
 
 
 _COLMAP = CameraFormat("colmap", read_colmap, _is_of_model)

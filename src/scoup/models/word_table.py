@@ -211,6 +211,6 @@ def _reporting_damage(path: Path) -> Iterator[None]:
     except FileFormatError:
         raise
     except OSError as error:
-        raise FileFormatError(path, f"cannot be read ({error.strerror or error})", _REMEDY) from error
+        raise FileFormatError.unreadable(path, error) from error
     except Exception as error:  # zip, zlib, json, struct, numpy and safetensors each raise kinds of their own
         raise FileFormatError(path, "is not a readable table of text embeddings", _REMEDY) from error

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +30,7 @@ from scoup.view.vocabulary import words_data
 
 MOST_THUMBNAILS = 24
 THUMBNAIL_QUALITY = 70
-FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js", "things.js")
+FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js")
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,7 @@ def _export(
     words, count = _words(viewed, progress)
     first = viewed.scene(effort=9, exported=True)
     thumbnails = _thumbnails(viewed, progress)
-    data = {
-        "scene": _base64(first),
-        "words": _base64(words),
-        "thumbnails": thumbnails,
-        "things": viewed.things(),
-    }
+    data = {"scene": _base64(first), "words": _base64(words), "thumbnails": thumbnails}
     scene_bytes = len(first)
 
     def encoded_part(number: int) -> str:
@@ -93,19 +90,19 @@ def _export(
         return _base64(packed)
 
     if names:
-        tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
-        html = files.in_one(settings, f"<script>window.scoupData = {{parts: []}};</script>\n{tags}")
+        # Scripts of another export, or of an earlier one in a cache, assign to another name.
+        mark = hashlib.sha256(script_text(data).encode()).hexdigest()[:16]
+        target = f"window.scoup_{mark}"
+        tags = "\n".join(f'<script src="{name}.js?{mark}"></script>' for name in data)
+        begin = f'<script>window.scoupData = {target} = {{mark: "{mark}", parts: []}};</script>'
+        html = files.in_one(settings, f"{begin}\n{tags}")
         old = [part for part in out.glob("part_[0-9]*.js") if overwrite and part.name not in names]
         with staged(out, names, overwrite, old) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
-            scripts = {f"{name}.js": _assignment(f"window.scoupData.{name}", data[name]) for name in data}
-            for name, script in scripts.items():
-                (hidden / name).write_text(script, encoding="utf-8")
-            for number, name in enumerate(
-                names[len(FOLDER_FILES) :]
-            ):  # one after another, as the page loads them
-                script = _assignment(f"window.scoupData.parts[{number}]", encoded_part(number))
-                (hidden / name).write_text(script, encoding="utf-8")
+            # One part after another, as the page loads them.
+            parts = ((f"parts[{number}]", encoded_part(number)) for number in range(viewed.n_parts))
+            for file, (name, value) in zip(names[1:], chain(data.items(), parts), strict=True):
+                (hidden / file).write_text(_assignment(f"{target}.{name}", value), encoding="utf-8")
         size = sum((out / name).stat().st_size for name in names)
     else:
         whole = {**data, "parts": [encoded_part(number) for number in range(viewed.n_parts)]}

@@ -33,6 +33,14 @@ script.textContent = await new Response(plain).text();
 document.body.append(script);
 </script>"""
 
+# The program is at the end: a page without it was cut short, as by a download.
+_CHECK_END = """<script>
+addEventListener("DOMContentLoaded", () => {
+  if (document.querySelector("script[type=module]")) return;
+  document.body.textContent = "this page is cut short; copy it again, or export it again";
+});
+</script>"""
+
 
 @dataclass(frozen=True)
 class PageFiles:
@@ -62,8 +70,10 @@ class PageFiles:
         program = base64.b64encode(self.packed_program).decode()
         scripts = f'<script>window.scoupProgram = "{program}";</script>\n{_UNPACK}'
         licences = f"<!--\n{self.licences.replace('--', '- -')}\n-->"
-        html = self.index.replace(STYLE, f"<style>\n{self.style}\n</style>").replace(PROGRAM, scripts)
-        return html.replace(SETTINGS, f"{_settings_line(settings)}\n{data}") + licences
+        html = self.index.replace(STYLE, f"<style>\n{self.style}\n</style>").replace(
+            PROGRAM, f"{data}\n{scripts}"
+        )
+        return html.replace(SETTINGS, f"{_settings_line(settings)}\n{_CHECK_END}") + licences
 
 
 @cache

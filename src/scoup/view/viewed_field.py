@@ -133,6 +133,8 @@ class ViewedField:
         stand for each part, its ``most`` how many Gaussians whole parts may have together if parts are merged.
         """
         canonical, metadata = None, self.metadata(exported)
+        if exported:
+            metadata["things"] = self.things()
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
         if self._parts is None:

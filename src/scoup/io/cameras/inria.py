@@ -57,9 +57,9 @@ def read_inria_cameras(path: str | Path) -> Cameras:
 
 def read_cfg_args(path: str | Path) -> dict[str, Any]:
     """Return the settings in a cfg_args file, a printed ``Namespace(...)`` of plain values; it is not run."""
-    path = existing_file(path, "cfg_args of Inria's code")
+    text = read_text(path := existing_file(path, "cfg_args of Inria's code"))
     try:
-        tree = ast.parse(read_text(path).strip(), mode="eval").body
+        tree = ast.parse(text.strip(), mode="eval").body
         if not (
             isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and tree.func.id == "Namespace"
         ):
