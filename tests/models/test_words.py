@@ -165,6 +165,14 @@ def test_everyday_words_of_a_table_are_its_other_names() -> None:
     assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few
 
 
+def test_words_of_a_table_can_be_asked_whatever_blanks_its_names_have() -> None:
+    names = (*CANONICAL_PHRASES, "red  apple", "a\u2028chair", " lamp\t", "\n")
+    encoder = TextEncoder.open(dict(zip(names, np.eye(8), strict=True)))
+    assert encoder.vocabulary() == ("red apple", "a chair", "lamp")
+    assert torch.equal(encoder.encode(encoder.vocabulary()), torch.eye(8)[4:7])
+    assert torch.equal(encoder.encode(["Red \n apples", "the  lamp"]), torch.eye(8)[[4, 6]])
+
+
 def test_a_dict_is_an_encoder() -> None:
     vectors = torch.randn(5, 6, generator=torch.Generator().manual_seed(0))
     names = ["object", "things", "stuff", "texture", "red apple"]
