@@ -199,9 +199,10 @@ def remove(path: Path) -> None:
 
 
 def write_text(path: str | Path, text: str, overwrite: bool = False, wait: bool = False) -> None:
-    """Write UTF-8 text; arguments and errors as of ``atomic_file``."""
+    """Write UTF-8 text, with escapes for what UTF-8 has no bytes for, such as parts of other file names; arguments and
+    errors as of ``atomic_file``."""
     with atomic_file(path, overwrite, wait=wait) as stream:
-        stream.write(text.encode("utf-8"))
+        stream.write(text.encode("utf-8", "backslashreplace"))
 
 
 class _Output(io.BufferedIOBase):
