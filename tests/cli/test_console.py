@@ -156,6 +156,11 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     out, err = capsys.readouterr()
     assert out == f"a [red] :smile: [31, 9]\n{escaped}\tone\ntwo: é 水\n"
     assert err == f"warning: {escaped}\nerror: {escaped.replace(chr(92) + 'x0d', '')}\n"
+    for arguments in ([f"quer{hostile}"], ["info", "f", f"--{hostile}"], ["view", "f", "--port", hostile]):
+        assert main(arguments) == 2  # the parser repeats them
+        err = capsys.readouterr().err
+        assert r"\x1b" in err
+        assert not set("\x1b\x07\x9b\r\u202e") & set(err)
 
 
 def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPatch) -> None:
