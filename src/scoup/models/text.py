@@ -196,6 +196,8 @@ class TextEncoder:
                     f"{phrase[:80]!r}... ({len(phrase):,} characters): is too long for a phrase; pass at most "
                     f"{LONGEST:,} characters"
                 )
+            if any("\ud800" <= letter <= "\udfff" for letter in phrase):  # of an argument in another encoding
+                raise InputError(f"{phrase[:80]!a}: is not valid Unicode; pass the phrase in UTF-8")
         if not phrases:
             return torch.zeros(0, self.dim)
         return _encoded(self._encode, phrases) if self._model is None else self._model.encode(phrases)
