@@ -142,8 +142,8 @@ def test_file_names_of_texts():
 
 def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     """They could move the cursor, or hide what a terminal shows."""
-    hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f\u202e"
-    escaped = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f\u202e"
+    hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f\u202e\udcff"
+    escaped = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f\u202e\udcff"
     assert html("{{ text }}", text=hostile) == escaped  # in pages, too
 
     def speak(console: Console) -> None:
