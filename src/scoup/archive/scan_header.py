@@ -78,9 +78,11 @@ def list_scans(folder: Path) -> list[ListedScan]:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a file as the folder of an archive."""
+    """Refuse a file as the folder of an archive, and a path that DuckDB cannot take."""
     if folder.is_file():
         raise FileFormatError(folder, "is a file, expected the folder of an archive", "check the path")
+    if any("\ud800" <= letter <= "\udfff" for letter in str(folder.absolute())):
+        raise FileFormatError(folder, "its path is not in UTF-8", "rename the folder, or the one around it")
 
 
 def scan_names(folder: Path) -> list[str]:
