@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fnmatch
 import json
 import os
 import re
@@ -197,6 +198,19 @@ def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive, fi
 def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
     with pytest.raises(InputError, match="condition"):
         archive.find("mug", where=where)
+
+
+def test_the_name_of_the_folder_is_no_pattern(archive: scoup.Archive, fields: Fields) -> None:
+    other = shutil.copytree(
+        archive.folder, archive.folder.with_name("scans")
+    )  # which DuckDB would read instead
+    for file in other.iterdir():
+        file.write_bytes(b"damaged")
+    assert fnmatch.fnmatch(str(other), str(archive.folder))
+    assert_answers_are_those_of(archive.find("mug", where="floor >= 0"), fields, "mug")
+    assert {scan.name for scan in list_scans(archive.folder)} == {*fields}
+    archive.add(fields["kitchen"])
+    assert_answers_are_those_of(scoup.Archive(archive.folder).find("mug"), fields, "mug")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")

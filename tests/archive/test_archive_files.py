@@ -26,7 +26,7 @@ from messages import refuses
 from query import planted_room as planted
 from query.planted_room import planted_room
 from scoup.archive import archive as archive_module
-from scoup.archive import kept_scans, scan_files, scan_header
+from scoup.archive import kept_scans, list_scans, scan_files, scan_header
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
 from scoup.base import FileFormatError, UnknownNameError
@@ -333,6 +333,16 @@ def test_a_damaged_description_is_named(archive: scoup.Archive) -> None:
     path.unlink()
     with refuses(FileFormatError):
         scoup.Archive(archive.folder)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are of bytes")
+def test_a_folder_named_in_another_encoding_is_refused_and_its_scans_are_not_called_damaged(
+    archive: scoup.Archive,
+) -> None:
+    folder = archive.folder.rename(archive.folder.parent / os.fsdecode(b"\xe9t\xe9"))
+    for use in (scoup.Archive, list_scans):
+        with pytest.raises(FileFormatError, match="its path is not in UTF-8; rename the folder"):
+            use(folder)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes")

@@ -11,7 +11,7 @@ from subprocess import PIPE, Popen
 
 import pytest
 
-from children import child
+from children import child, finished
 from scoup.base.errors import OutputExistsError, OutputInUseError, WriteError
 from scoup.base.outputs import atomic_file, atomic_path, locked, staged
 
@@ -59,15 +59,39 @@ def test_the_second_is_refused_and_what_a_killed_one_left_goes_with_the_next(
         for process in (first, second):
             process.kill()
             process.wait()
-    assert not path.exists()
-    left = {item.name for item in tmp_path.iterdir()} - {"c.scoup"}
+    assert not path.is_file()
+    left = {*tmp_path.rglob(".*")}
     assert len(left) == 4  # a temporary and a lock file of each
     with WRITERS[what](path) as made:
         if what == "path":
             made.write_text("whole")
-    remaining = {item.name for item in tmp_path.iterdir()} - {"a.scoup", "c.scoup"}
+    remaining = {*tmp_path.rglob(".*")}
     assert len(remaining) == 2
     assert remaining < left  # those of the other output
+
+
+AMID_MOVES = """
+import os, sys
+from pathlib import Path
+from scoup.base.outputs import staged
+replace = os.replace
+def last(*paths):
+    replace(*paths)
+    os._exit(9)
+os.replace = last
+with staged(Path(sys.argv[1]), ["a", "deep/b"]) as hidden:
+    (hidden / "deep").mkdir()
+    (hidden / "a").touch()
+    (hidden / "deep/b").touch()
+"""
+
+
+def test_a_process_that_was_killed_while_files_move_leaves_nothing_for_long(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    assert finished([sys.executable, "-c", AMID_MOVES, folder]).returncode == 9
+    with staged(folder, ["a"], overwrite=True) as hidden:
+        (hidden / "a").touch()
+    assert [*tmp_path.rglob("*")] == [folder.parent, folder, folder / "a"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
@@ -79,7 +103,7 @@ def test_nothing_is_left_after_an_error(tmp_path: Path, what: str, error: type[B
 
     with pytest.raises(error):
         work()
-    assert not [path for path in tmp_path.rglob("*") if path != tmp_path / "new"]
+    assert not [*tmp_path.iterdir()]
 
 
 def test_what_another_process_has_just_finished_is_not_made_again(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -259,6 +261,16 @@ def test_names_out_of_a_list_are_escaped():
     assert {row["name"] for row in rows} <= {"", "<script>alert(1)</script>", "'=1+1", "'@SUM(1)"}
     assert all(not row["other names"].startswith(("=", "@")) for row in rows)
     assert any(float(row["x"]) < 0 for row in rows)  # a number stays one
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are of bytes")
+@pytest.mark.parametrize("command", [("catalog",), ("compare", "f.scoup")])
+def test_file_names_in_another_encoding_are_escaped_in_pages(command):
+    name = os.fsdecode(b"<\xe9t\xe9>.scoup")
+    shutil.copy("f.scoup", name)
+    code, _, err = run(*command, name, "--out", "made", "--quiet")
+    assert code == 0, err
+    assert r"&lt;\udce9t\udce9&gt;" in Path("made/index.html").read_text("utf-8")
 
 
 # ---- render

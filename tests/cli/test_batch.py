@@ -58,6 +58,17 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive() -> None:
     run_json(*command)
     assert times()[1] < before[1]
 
+    # A damaged report is no report.
+    records = (
+        "[1]",
+        '{"a": 3}',
+        '{"a": {"warnings": 3, "seconds": 1.5}}',
+        '{"a": {"warnings": [3], "seconds": 1.5}}',
+    )
+    for text in ("[" * 100_000, "3", *(f'{{"scans": {record}}}' for record in records)):
+        Path("fields/batch.json").write_text(text)
+        assert run_json("batch", "scans", "--out", "fields")["scans"]["a"] == {"kept": True}
+
 
 def test_builds_get_the_options_that_were_passed(monkeypatch: pytest.MonkeyPatch) -> None:
     write_scene(Path("scans/a"))

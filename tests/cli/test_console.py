@@ -142,8 +142,8 @@ def test_file_names_of_texts():
 
 def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     """They could move the cursor, or hide what a terminal shows."""
-    hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f\u202e"
-    escaped = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f\u202e"
+    hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f\u202e\udcff"
+    escaped = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f\u202e\udcff"
     assert html("{{ text }}", text=hostile) == escaped  # in pages, too
 
     def speak(console: Console) -> None:
@@ -156,6 +156,11 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     out, err = capsys.readouterr()
     assert out == f"a [red] :smile: [31, 9]\n{escaped}\tone\ntwo: é 水\n"
     assert err == f"warning: {escaped}\nerror: {escaped.replace(chr(92) + 'x0d', '')}\n"
+    for arguments in ([f"quer{hostile}"], ["info", "f", f"--{hostile}"], ["view", "f", "--port", hostile]):
+        assert main(arguments) == 2  # the parser repeats them
+        err = capsys.readouterr().err
+        assert r"\x1b" in err
+        assert not set("\x1b\x07\x9b\r\u202e") & set(err)
 
 
 def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import importlib.util
 import json
+import os
 import signal
 import socket
 import sys
@@ -47,6 +48,10 @@ def test_export_prints_sizes() -> None:
     assert record["bytes"] == Path("page.html").stat().st_size
     folder = run_json("view", "f.scoup", "--export", "pages", "--split")
     assert folder["bytes"] == sum(path.stat().st_size for path in Path("pages").iterdir())
+    odd = Path(os.fsdecode(b"\xe9t\xe9.scoup") if sys.platform == "linux" else "odd.scoup")
+    Path("f.scoup").rename(odd)
+    run_json("view", odd, "--export", "odd.html")
+    odd.rename("f.scoup")
     Path("words.txt").write_text("mug\n")
     assert run_json("view", "f.scoup", "--export", "own.html", "--words", "words.txt")["words"] == 1
 
@@ -195,7 +200,12 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup", "--http", "0"]) as server:
         assert server.stdout is not None
         address, header, _ = (server.stdout.readline() for _ in range(3))
-        one, *others = asyncio.run(talk(address.strip(), header.rpartition(" ")[2].strip()))
+        address, token = address.strip(), header.rpartition(" ")[2].strip()
+        head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:1\r\nAuthorization: Bearer {token}\r\n"
+        kinds = "Accept: application/json, text/event-stream\r\nContent-Type: application/json\r\n"
+        with socket.create_connection(("127.0.0.1", urlsplit(address).port)) as leaving:
+            leaving.sendall(f"{head}{kinds}Content-Length: 9\r\n\r\n{{".encode())
+        one, *others = asyncio.run(talk(address, token))
         server.send_signal(signal.SIGTERM)
         _, said = server.communicate()
     assert one["things"]

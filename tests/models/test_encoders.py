@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -84,6 +85,14 @@ def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None
         damage()
         with pytest.raises(ScoupError, match="cannot be loaded"):
             TextEncoder.open(broken)
+    shutil.copytree(clip_folder, broken, dirs_exist_ok=True)
+    told = broken / "tokenizer_config.json"
+    told.write_text(json.dumps({**json.loads(told.read_text()), "pad_token": None}))
+    with pytest.raises(ScoupError, match="encodes no words: its files are damaged"):
+        TextEncoder.open(broken)
+    (broken / "config.json").write_text("[" * 100_000)
+    with pytest.raises(ScoupError, match=r"its config\.json is damaged"):
+        TextEncoder.open(broken)
     config = transformers.BertConfig(
         vocab_size=7, hidden_size=16, num_hidden_layers=1, num_attention_heads=2, intermediate_size=16
     )

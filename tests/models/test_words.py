@@ -84,7 +84,12 @@ def test_missing_word_lists_the_nearest_names_and_the_file(tmp_path: Path) -> No
         WordTable.save(tmp_path / "named.npz", NAMES, VECTORS, model=model, overwrite=True)
         with refuses(UnknownNameError):
             TextEncoder.open(tmp_path / "named.npz").encode(["appel"])
-    for phrases in ("apple", [" "], [NAMES[0], "ab" * 1_000_000]):  # long texts are not repeated
+    for phrases in (
+        "apple",
+        [" "],
+        ["\udcff"],
+        [NAMES[0], "ab" * 1_000_000],
+    ):  # long texts are not repeated
         with refuses():
             encoder.encode(phrases)
     with pytest.raises(UnknownNameError) as unknown:
@@ -163,6 +168,14 @@ def test_everyday_words_of_a_table_are_its_other_names() -> None:
     assert torch.equal(encoder.everyday(), encoder.encode(["red apple", "chair"]))
     assert torch.equal(encoder.canonical(), encoder.encode(["object", "things", "stuff", "texture"]))
     assert torch.equal(encoder.canonical(everyday=True), encoder.canonical())  # two words are too few
+
+
+def test_words_of_a_table_can_be_asked_whatever_blanks_its_names_have() -> None:
+    names = (*CANONICAL_PHRASES, "red  apple", "a\u2028chair", " lamp\t", "\n")
+    encoder = TextEncoder.open(dict(zip(names, np.eye(8), strict=True)))
+    assert encoder.vocabulary() == ("red apple", "a chair", "lamp")
+    assert torch.equal(encoder.encode(encoder.vocabulary()), torch.eye(8)[4:7])
+    assert torch.equal(encoder.encode(["Red \n apples", "the  lamp"]), torch.eye(8)[[4, 6]])
 
 
 def test_a_dict_is_an_encoder() -> None:

@@ -176,11 +176,16 @@ def test_the_server_speaks_to_the_official_client(tools: SceneTools, folder: Pat
     archive.add(folder / "f.scoup", floor=2)
 
     def odd() -> dict[str, Any]:
-        return {"odd": [float("nan"), float("inf"), 1.5]}
+        return {"odd": [float("nan"), float("inf"), 1.5, "\udcff"]}
+
+    def wrong() -> None:
+        raise InputError("\udcff\x1b: is damaged")
 
     async def talk() -> list[Any]:
-        async with connected(SceneTools(tools.fields), [odd]) as client:
-            assert json.loads((await client.call_tool("odd", {})).content[0].text)["odd"] == [None, None, 1.5]
+        async with connected(SceneTools(tools.fields), [odd, wrong]) as client:
+            said = [(await client.call_tool(name, {})).content[0].text for name in ("odd", "wrong")]
+            assert json.loads(said[0])["odd"] == [None, None, 1.5, "\udcff"]
+            assert said[1].endswith(r"\udcff\x1b: is damaged")
         async with connected(SceneTools(tools.fields), [archive_tool(archive)]) as client:
             names = sorted(tool.name for tool in (await client.list_tools()).tools)
             for tool, arguments in MISTAKES:

@@ -200,6 +200,14 @@ def sent(viewed: ViewedField, length: int, receive: Callable[[], Any]) -> list[A
     return answers
 
 
+def test_names_out_of_files_in_another_encoding(
+    client: TestClient, viewed: ViewedField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {"name": "\udcff.scoup", "number": None}
+    monkeypatch.setattr(viewed, "metadata", lambda: {**names, "number": float("nan")})
+    assert client.get("/api/scene").json() == names
+
+
 def test_messages_may_be_giant_or_end_in_their_midst(client: TestClient, viewed: ViewedField) -> None:
     without_length = iter([b" " * 40_000] * 3)
     for content in (b" " * (MOST_BYTES + 1), without_length):

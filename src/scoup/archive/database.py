@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import glob
 import json
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -37,7 +38,7 @@ import duckdb
 things, columns = {}, []
 try:
     connection = duckdb.connect(":memory:", config={"threads": 2, "memory_limit": "2GB", "temp_directory": ""})
-    connection.execute(f"SET allowed_directories = [{request['folder']}]")
+    connection.execute(f"SET allowed_directories = [{request['folders']}]")
     connection.execute("SET enable_external_access = false")
     connection.execute("SET lock_configuration = true")
     # An expression, not a statement: it reads, and only this folder.
@@ -71,6 +72,11 @@ def connect() -> DuckDBPyConnection:
 def quoted(text: str) -> str:
     """Return a text as SQL."""
     return "'" + text.replace("'", "''") + "'"
+
+
+def patterns(paths: Iterable[Path]) -> list[str]:
+    """Return paths as DuckDB takes them, which would look elsewhere for a name with brackets or asterisks."""
+    return [glob.escape(str(path)) for path in paths]
 
 
 def call(connection: DuckDBPyConnection, work: Callable[[DuckDBPyConnection], Result]) -> Result:
@@ -115,9 +121,10 @@ def matching_things(
     Raises:
         InputError: the condition cannot be used, or takes too long or too much memory.
     """
-    paths = [str(file.absolute()) for file in files]
-    request = {"where": where, "files": paths, "folder": quoted(str(folder.absolute())), "seconds": seconds,
-               "memory": _MEMORY}  # fmt: skip
+    absolute = folder.absolute()
+    folders = ", ".join(map(quoted, (str(absolute), *patterns([absolute]))))
+    request = {"where": where, "files": patterns(file.absolute() for file in files), "folders": folders,
+               "seconds": seconds, "memory": _MEMORY}  # fmt: skip
     try:
         done = subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{_PROGRAM}"],

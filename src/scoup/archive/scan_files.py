@@ -17,7 +17,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from scoup.archive.database import call, connect, quoted
+from scoup.archive.database import call, connect, patterns, quoted
 from scoup.archive.scan_header import (
     COLUMNS,
     FORMAT,
@@ -157,7 +157,7 @@ def read_places(
             " WHERE list_contains($things, thing)"
         )
         asked = {
-            "files": list({str(scan.file) for scan, _ in wanted}),
+            "files": patterns({scan.file for scan, _ in wanted}),
             "things": list({thing for _, thing in wanted}),
         }
         rows = call(connection, lambda opened: opened.execute(query, asked).fetchall())

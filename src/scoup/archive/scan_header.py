@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-from scoup.archive.database import call, connect
+from scoup.archive.database import call, connect, patterns
 from scoup.base import FileFormatError, InputError, MissingFileError, check_format_version, refuse_pointer
 from scoup.field import LEAST_GAUSSIANS, place_of
 
@@ -66,7 +66,7 @@ def list_scans(folder: Path) -> list[ListedScan]:
             "SELECT filename, count(*) FILTER (position IS NOT NULL AND gaussians >= $least)"
             " FROM read_parquet($files, filename := true) GROUP BY filename"
         )
-        asked = {"files": [str(file) for file in files], "least": LEAST_GAUSSIANS}
+        asked = {"files": patterns(files), "least": LEAST_GAUSSIANS}
         counts = dict(call(connection, lambda opened: opened.execute(query, asked).fetchall()))
         return [
             ListedScan(file.stem, counts[str(file)], place_of(file, str(header["field"])) or file, columns)
@@ -78,9 +78,11 @@ def list_scans(folder: Path) -> list[ListedScan]:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a file as the folder of an archive."""
+    """Refuse a file as the folder of an archive, and a path that DuckDB cannot take."""
     if folder.is_file():
         raise FileFormatError(folder, "is a file, expected the folder of an archive", "check the path")
+    if any("\ud800" <= letter <= "\udfff" for letter in str(folder.absolute())):
+        raise FileFormatError(folder, "its path is not in UTF-8", "rename the folder, or the one around it")
 
 
 def scan_names(folder: Path) -> list[str]:
@@ -97,8 +99,8 @@ def file_of(folder: Path, name: str) -> Path:
 def headers(files: Sequence[Path], connection: DuckDBPyConnection) -> list[Mapping[str, Any]]:
     """Return the metadata of scans, from files that have them."""
     query = "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'"
-    names = {"files": [str(file) for file in files]}
-    texts = dict(call(connection, lambda opened: opened.execute(query, names).fetchall()))
+    asked = {"files": patterns(files)}
+    texts = dict(call(connection, lambda opened: opened.execute(query, asked).fetchall()))
     return [_checked(file, json.loads(texts.get(str(file), b"{}"))) for file in files]
 
 

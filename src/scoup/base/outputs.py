@@ -57,8 +57,8 @@ def _check_output(path: Path, overwrite: bool, least: int) -> None:
             break
 
 
-def make_folder(folder: Path, output: Path) -> None:
-    """Make the folder of an output, with its parents."""
+def make_folder(folder: Path, output: Path) -> list[Path]:
+    """Make the folder of an output, with its parents; return those that were missing, the inner first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -66,6 +66,7 @@ def make_folder(folder: Path, output: Path) -> None:
         raise WriteError.of(output, error) from error
     for path in missing:
         _flush_names(path.parent)
+    return missing
 
 
 @contextmanager
@@ -137,17 +138,23 @@ def temporary_output(
 ) -> Iterator[Path]:
     """Keep other processes from writing an output, and yield the path of a temporary file or folder beside it.
 
-    What is there is removed before and after the block. ``kind`` and ``lock`` are the endings of the two hidden names.
+    What is there is removed before and after the block. So is the folder, if it was made for it and is left empty.
+    ``kind`` and ``lock`` are the endings of the two hidden names.
     """
     temporary = path.with_name(hidden_name(path.name, kind))
-    make_folder(path.parent, path)
-    with locked(path, wait, lock):
-        check_output(path, overwrite=overwrite)  # another process may have written it meanwhile
-        remove(temporary)
-        try:
-            yield temporary
-        finally:
+    made = make_folder(path.parent, path)
+    try:
+        with locked(path, wait, lock):
+            check_output(path, overwrite=overwrite)  # another process may have written it meanwhile
             remove(temporary)
+            try:
+                yield temporary
+            finally:
+                remove(temporary)
+    finally:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:
@@ -199,9 +206,10 @@ def remove(path: Path) -> None:
 
 
 def write_text(path: str | Path, text: str, overwrite: bool = False, wait: bool = False) -> None:
-    """Write UTF-8 text; arguments and errors as of ``atomic_file``."""
+    """Write UTF-8 text, with escapes for what UTF-8 has no bytes for, such as parts of other file names; arguments and
+    errors as of ``atomic_file``."""
     with atomic_file(path, overwrite, wait=wait) as stream:
-        stream.write(text.encode("utf-8"))
+        stream.write(text.encode("utf-8", "backslashreplace"))
 
 
 class _Output(io.BufferedIOBase):
@@ -342,9 +350,8 @@ def staged(
         OutputExistsError, OutputInUseError, WriteError: as ``atomic_path``.
     """
     check_output(*(folder / file for file in files), overwrite=overwrite)
-    # In the nearest existing folder: on the same file system, moving is only renaming.
-    home = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.is_dir())
-    work = home / slug(" ".join([folder.name, *files[:1]]))
+    # Within the folder: on the same file system, moving is only renaming.
+    work = folder / slug(" ".join([folder.name, *files[:1]]))
     with ExitStack() as opened:
         try:
             hidden = opened.enter_context(temporary_output(work, overwrite=True))

@@ -15,7 +15,13 @@ _LONGEST = 60  # characters of a value that is not a tensor
 _MOST_BYTES = 80  # of a name: leaves space for suffixes and for the names of temporary files
 _LONGEST_NAME = 200  # bytes of a name that a hidden one repeats; file systems allow 255
 
-_CONTROLS = (*range(32), *range(127, 160), 0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+_CONTROLS = (
+    *range(32),
+    *range(127, 160),
+    *range(0x2028, 0x202F),
+    *range(0x2066, 0x206A),
+    *range(0xD800, 0xE000),
+)
 _ESCAPES = {
     code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
     for code in _CONTROLS
@@ -51,7 +57,7 @@ def spread(items: Sequence[T], most: int) -> list[T]:
 
 
 def printable(text: str) -> str:
-    """Return the text with control characters escaped, but for line feeds and tabs.
+    """Return the text with control characters escaped, but for line feeds and tabs, and with what UTF-8 lacks.
 
     Names out of files may hold them. They could move the cursor of a terminal, or reverse the order of letters.
     """
@@ -112,10 +118,9 @@ def rounded_vector(values: Sequence[float], decimals: int = 3) -> list[float]:
 def as_json(record: Any, indent: int | None = 2) -> str:
     """Return a record as JSON, which has no NaN and no infinity: they are null; without ``indent`` in one line."""
     separators = (",", ":") if indent is None else None
-    plain = _plain(record)
-    return json.dumps(
-        plain, indent=indent, separators=separators, ensure_ascii=indent is not None, allow_nan=False
-    )
+    plain, letters = _plain(record), indent is not None
+    text = json.dumps(plain, indent=indent, separators=separators, ensure_ascii=letters, allow_nan=False)
+    return text.encode("utf-8", "backslashreplace").decode()  # of file names in another encoding
 
 
 def _plain(value: Any) -> Any:

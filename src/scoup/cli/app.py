@@ -68,6 +68,7 @@ def run(arguments: list[str]) -> int:
 
         print(f"scoup {VERSION}")
         return 0
+    from scoup.base import printable
     from scoup.cli.console import Console, run_verb
     from scoup.cli.options import Common
     from scoup.cli.parsing import in_one_line, parse
@@ -75,13 +76,15 @@ def run(arguments: list[str]) -> int:
     for_machines = "--json" in arguments
     refusal = io.StringIO()
     try:
-        with contextlib.redirect_stderr(refusal) if for_machines else contextlib.nullcontext():
+        with contextlib.redirect_stderr(refusal):
             verb = parse(arguments, SCOUP, "scoup")
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else 0
         if for_machines and code:
             said = f"{in_one_line(refusal.getvalue())}; see scoup --help, or scoup VERB --help"
             Console(Common(as_json=True)).fail(said, code)
+        else:
+            print(printable(refusal.getvalue()), end="", file=sys.stderr)
         return code
     return run_verb(verb.common, verb.run)
 

@@ -127,13 +127,16 @@ class Batch:
     def _built(self, names: list[str]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield name and record of each scan as it is done; existing scans keep their record."""
         report = self.out / REPORT
-        before = _parsed(report.read_text("utf-8", "replace")).get("scans", {}) if report.exists() else {}
+        before = _parsed(report.read_text("utf-8", "replace") if report.exists() else "").get("scans")
         missing: dict[str, list[str]] = {}
         for name in names:
             file = self.out / f"{name}.scoup"
             if file.exists() and not self.common.overwrite:
-                record = {key: value for key, value in before.get(name, {}).items() if key != "error"}
-                yield name, {**record, "kept": True}
+                match before.get(name) if isinstance(before, dict) else None:
+                    case {"seconds": float(seconds), "warnings": [*said]} if {*map(type, said)} <= {str}:
+                        yield name, {"kept": True, "warnings": said, "seconds": seconds}
+                    case _:
+                        yield name, {"kept": True}
             else:
                 if self.ray is None and (problem := self._problem(self.scans / name, file)):
                     yield name, {"kept": False, "warnings": [], "error": problem, "seconds": 0.0}
@@ -255,9 +258,9 @@ def _time(file: Path) -> int:
 
 
 def _parsed(text: str) -> dict[str, Any]:
-    """Return the result that a verb printed; nothing of one that was killed."""
+    """Return the result that a verb printed; nothing of one that was killed, or of a damaged file."""
     try:
         said = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return said if isinstance(said, dict) else {}

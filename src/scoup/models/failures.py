@@ -57,7 +57,7 @@ def _reason_of_folder(folder: Path) -> str:
         config = json.loads((folder / "config.json").read_text("utf-8"))
     except OSError:
         config = None
-    except ValueError:
+    except (ValueError, RecursionError):
         return "its config.json is damaged; copy the folder again"
     kind = config.get("model_type") if isinstance(config, dict) else None
     if theirs and kind is None:

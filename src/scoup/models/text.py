@@ -155,21 +155,22 @@ class TextEncoder:
     @classmethod
     def _of_table(cls, table: WordTable, source: str = "") -> TextEncoder:
         vectors = torch.from_numpy(table.vectors)
-        exact = {name: row for row, name in reversed(list(enumerate(table.names)))}
-        folded = {name.strip().casefold(): row for row, name in reversed(list(enumerate(table.names)))}
+        rows = [*enumerate(table.names)][::-1]
+        exact = {name: row for row, name in rows}
+        folded = {" ".join(name.split()).casefold(): row for row, name in rows}
         # No model has a blank in its name; simulated vectors are named so.
         remedy = _OTHER_WORDS + (_OR_MODEL if table.model and " " not in table.model else "")
 
         def encode(phrases: list[str]) -> Tensor:
-            rows = []
+            found = []
             for phrase in phrases:
                 row = exact.get(phrase)
                 forms = (folded[form] for form in word_forms(phrase) if form in folded)
                 row = next(forms, None) if row is None else row
                 if row is None:
                     raise UnknownNameError("text embedding", phrase, table.names, str(table.path), remedy)
-                rows.append(row)
-            return vectors[rows]
+                found.append(row)
+            return vectors[found]
 
         opened = cls(table.model, vectors.shape[1], encode, table.names)
         opened._made_by, opened.source = (TextEncoder._of_table, (table, source)), source or opened.source
@@ -195,6 +196,8 @@ class TextEncoder:
                     f"{phrase[:80]!r}... ({len(phrase):,} characters): is too long for a phrase; pass at most "
                     f"{LONGEST:,} characters"
                 )
+            if any("\ud800" <= letter <= "\udfff" for letter in phrase):  # of an argument in another encoding
+                raise InputError(f"{phrase[:80]!a}: is not valid Unicode; pass the phrase in UTF-8")
         if not phrases:
             return torch.zeros(0, self.dim)
         return _encoded(self._encode, phrases) if self._model is None else self._model.encode(phrases)
@@ -256,17 +259,17 @@ class TextEncoder:
 
 
 def word_forms(phrase: str) -> list[str]:
-    """Return the forms of a phrase that a table may have: without capitals and outer blanks, without an article, and in
-    the singular.
+    """Return the forms of a phrase that a table may have: without capitals and needless blanks, without an article, and
+    in the singular.
 
     Example:
         >>> from scoup.models.text import word_forms
         >>> word_forms("The coffee mugs")
         ['the coffee mugs', 'coffee mugs', 'coffee mug']
     """
-    folded = phrase.strip().casefold()
+    folded = " ".join(phrase.split()).casefold()
     article, _, rest = folded.partition(" ")
-    bare = rest.strip() if article in ARTICLES and rest.strip() else folded
+    bare = rest if article in ARTICLES and rest else folded
     endings = (("s", ""), ("es", ""), ("ies", "y"))
     singular = [
         bare.removesuffix(ending) + instead

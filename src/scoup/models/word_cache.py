@@ -25,6 +25,7 @@ from torch import Tensor
 from scoup.base import FileFormatError, ScoupError, slug, write_npz
 from scoup.models import words
 from scoup.models.entry import Device
+from scoup.models.failures import reason_of
 from scoup.models.hub import ModelIdentity
 from scoup.models.word_table import MODEL_KEY, WordTable
 
@@ -98,7 +99,11 @@ class CachedTexts:
     def _opened(self) -> tuple[tuple[ModelIdentity, Tensor], EncodeUnit]:
         """Open the model, and write its identity and vector of the probe to the cache."""
         encode, model = self._load()
-        probe = encode([PROBE])
+        try:
+            probe = encode([PROBE])
+        except (ValueError, TypeError, LookupError) as error:  # of a damaged tokenizer
+            reason = reason_of(self.name, error)
+            raise ScoupError(f"text model {self.name!r} encodes no words: {reason}") from error
         if self._path is not None:
             record = json.dumps([self._key, astuple(model)])
             arrays = {"names": np.array([PROBE]), "vectors": probe.numpy(), MODEL_KEY: np.array(record)}

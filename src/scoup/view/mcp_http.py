@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 from collections.abc import Callable
 from typing import Any
@@ -30,6 +31,7 @@ def serve_http(
         KeyboardInterrupt: after SIGINT or SIGTERM, once the server has ended.
     """
     import uvicorn
+    from starlette.requests import ClientDisconnect
 
     from scoup.view.connections import server_config
 
@@ -38,6 +40,10 @@ def serve_http(
             stopping(sig)
             super().handle_exit(sig, frame)
 
+    # The package takes a client that leaves in the midst of its request for a fault.
+    logging.getLogger("mcp.server.streamable_http").addFilter(
+        lambda record: not (record.exc_info and isinstance(record.exc_info[1], ClientDisconnect))
+    )
     token = secrets.token_urlsafe(24)
     inner = server.streamable_http_app(
         host=HOST, json_response=True, stateless_http=True, max_request_body_size=MOST_BYTES

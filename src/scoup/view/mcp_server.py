@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as Pictures
 
-from scoup.base import VERSION, ScoupError, as_json
+from scoup.base import VERSION, ScoupError, as_json, printable
 from scoup.pictures import Picture
 from scoup.view.mcp_http import serve_http
 from scoup.view.scene_tools import SceneTools
@@ -58,7 +58,7 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
             try:
                 reply = method(**arguments)
             except ScoupError as error:  # the model reads what is wrong and tries again
-                raise ToolError(_without_folders(str(error), tools)) from error
+                raise ToolError(printable(_without_folders(str(error), tools))) from error
             if isinstance(reply, np.ndarray):
                 return Image(data=_png(reply), format="png")
             return as_json(reply, indent=None)  # models read every character

@@ -22,7 +22,7 @@ def packed(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any], effor
     Equal input gives equal bytes. ``effort`` is 1, fast, to 9, small.
     """
     contiguous = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
-    plain = save(contiguous, {"scoup": json.dumps(metadata, ensure_ascii=False, separators=(",", ":"))})
+    plain = save(contiguous, {"scoup": json.dumps(metadata, separators=(",", ":"))})
     return gzip.compress(plain, effort, mtime=0)
 
 

@@ -14,12 +14,12 @@ from starlette.applications import Starlette
 from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, Response
 from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from scoup.base import ScoupError, UnknownNameError
+from scoup.base import ScoupError, UnknownNameError, as_json
 from scoup.field import Cache
 from scoup.view.connections import PART
 from scoup.view.export import jpeg
@@ -102,15 +102,15 @@ class _Answers:
         return Response(data, media_type="application/octet-stream", headers=headers)
 
     async def metadata(self, request: Request) -> Response:
-        return JSONResponse(await self.work.run(self.viewed.metadata))
+        return _json(await self.work.run(self.viewed.metadata))
 
     async def vocabulary(self, request: Request) -> Response:
         vocabulary = await self.work.run(self.viewed.vocabulary)
         names = [] if vocabulary is None else list(vocabulary.texts)
-        return JSONResponse({"names": names, "closed": self.viewed.is_closed()})
+        return _json({"names": names, "closed": self.viewed.is_closed()})
 
     async def things(self, request: Request) -> Response:
-        return JSONResponse({"things": await self._kept("things", self.viewed.things)})
+        return _json({"things": await self._kept("things", self.viewed.things)})
 
     async def thumbnail(self, request: Request) -> Response:
         cameras = self.viewed.field.cameras or ()
@@ -121,7 +121,7 @@ class _Answers:
     async def query(self, message: Message, visitor: str) -> Response:
         texts, always = message.texts(), message.flag("always")
         answers = await self.work.run(lambda: self.viewed.answers(texts, always))
-        return JSONResponse({"answers": [answer.to_dict() for answer in answers]})
+        return _json({"answers": [answer.to_dict() for answer in answers]})
 
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")
@@ -134,7 +134,7 @@ class _Answers:
 
     async def point(self, message: Message, visitor: str) -> Response:
         camera, pixel = message.camera(), message.pixel()
-        return JSONResponse(await self.work.run(lambda: self.viewed.what_is_at(camera, pixel)))
+        return _json(await self.work.run(lambda: self.viewed.what_is_at(camera, pixel)))
 
     async def select(self, message: Message, visitor: str) -> Response:
         things, rest = message.things(), message.flag("rest")
@@ -236,8 +236,12 @@ class _Guarded:
         await self.inner(scope, receive, send_with_headers)
 
 
-def _error(status: int, sentence: str) -> JSONResponse:
-    return JSONResponse({"error": sentence}, status)
+def _json(record: Any, status: int = 200) -> Response:
+    return Response(as_json(record, indent=None), status, media_type="application/json")
+
+
+def _error(status: int, sentence: str) -> Response:
+    return _json({"error": sentence}, status)
 
 
 def _refusal(request: Request, error: Exception) -> Response:
