@@ -251,6 +251,8 @@ def _drop_strays(sums: RegionSums, owners: NDArray[np.int64], weights: NDArray[n
 
 def _number_things(of_levels: Sequence[_LevelThings], owners: NDArray[np.int64]) -> ThingTable:
     """Number the things of all levels, level by level, and find their parents."""
+    from scipy.sparse import coo_array
+
     sizes = [len(level.agreement) for level in of_levels]
     first = np.cumsum([0, *sizes])
     parents = np.full(first[-1], NO_THING, np.int32)
@@ -258,10 +260,10 @@ def _number_things(of_levels: Sequence[_LevelThings], owners: NDArray[np.int64])
         fine, coarse = owners[:, number], owners[:, number + 1]
         thing_sizes = np.bincount(fine[fine >= 0], minlength=sizes[number])
         both = (fine >= 0) & (coarse >= 0)
-        keys, counts = np.unique(fine[both] * max(1, sizes[number + 1]) + coarse[both], return_counts=True)
-        thing, parent = np.divmod(keys, max(1, sizes[number + 1]))
-        inside = counts > constants.INSIDE * thing_sizes[thing]  # true of one parent at most
-        parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
+        pairs = (np.ones(int(both.sum()), np.int64), (fine[both], coarse[both]))
+        shared: Matrix = coo_array(pairs, sizes[number : number + 2]).tocsr().tocoo()  # duplicates summed
+        inside = shared.data > constants.INSIDE * thing_sizes[shared.row]  # true of one parent at most
+        parents[first[number] + shared.row[inside]] = first[number + 1] + shared.col[inside]
     numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
     embeddings, agreement, n_regions, mass, stability = (
         torch.from_numpy(np.concatenate([getattr(level, name) for level in of_levels]))
