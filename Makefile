@@ -1,5 +1,5 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests (three processes of one thread each: some wait; about six minutes)
+# make test   create the environment, install, run the tests (three processes of one thread each: some wait; about five minutes)
 # make test-all   the same, then all random examples, the exhaustive sweeps, and Ray where it is installed (about half an hour)
 # make test-engines   the examples of many machines with Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)

@@ -141,8 +141,7 @@ HIDDEN = {
     "things": "table-4|shelves-2|kitchen-22",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.(2|45)",
-    "archive times": "150,062 .*|shell, help|write one scan|same texts again|"
-    "memory: (import of torch alone|shell, help)",
+    "archive times": "150,018 .*|memory: import of torch alone",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
