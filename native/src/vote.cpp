@@ -110,6 +110,7 @@ class Vote::Worker {
   public:
     explicit Worker(const Vote& vote)
         : vote_(vote), kernels_(pick(baseline::vote_kernels, v3::vote_kernels, v4::vote_kernels)), codes_(vote.codes()),
+          one_atom_(std::all_of(vote.k_.begin(), vote.k_.end(), [](int32_t k) { return k == 1; })),
           sums_(size_t(codes_.row())), products_(size_t(codes_.row())), is_coded_(new bool[size_t(vote.levels()) + 1]) {}
 
     // Brings the entries of all views in a bucket together by Gaussian, each one's by view, then combination.
@@ -146,7 +147,7 @@ class Vote::Worker {
     template <class Index>
     void keep(int64_t place, int32_t k, bool unit_norm, Index* indices, float* weights) {
         const int32_t n_atoms = vote_.n_atoms_;
-        if (k == 1 && !unit_norm && codes_.k_of_all == vote_.levels()) return keep_largest(place, indices, weights);
+        if (k == 1 && !unit_norm && one_atom_) return keep_largest(place, indices, weights);
         const bool few_named = n_atoms > kWide && k <= kMostByInsertion;
         found_.resize(size_t(std::max(n_atoms, k)));
         atoms_.resize(found_.size());
@@ -284,6 +285,7 @@ class Vote::Worker {
     const Vote& vote_;
     const VoteKernels& kernels_;
     CombinationCodes codes_;
+    bool one_atom_;  // per region, at every level
     int64_t count_ = 0;
     std::vector<uint32_t> starts_, next_;
     std::vector<VoteEntry> entries_;
