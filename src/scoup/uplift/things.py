@@ -8,16 +8,15 @@ by shards. Gaussians far from the rest of their thing are strays, and leave it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base import InputError, Progress, no_progress, reported, spread, worked_ahead
+from scoup.base import InputError, Progress, no_progress, spread
 from scoup.field import MOST_THINGS, NO_THING, ThingTable
 from scoup.scene import SparseCodes, index_dtype, linked_parts, nearest_points, normalise_embeddings
 from scoup.uplift import constants
@@ -30,7 +29,6 @@ SAMPLED = 1000  # Gaussians of a thing, about which decide its size
 FARTHEST = 1 << 14  # cells from its middle; those beyond count as there
 APART = 1 << 17  # cells between the middles of two things
 Numbers = NDArray[np.int64]
-_Result = TypeVar("_Result")
 
 
 def find_things(
@@ -63,29 +61,17 @@ def find_things(
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
     entries = _strong_entries(sums, names)
-    levels = list(zip(sums.rows, embeddings, strict=True))
-
-    def of_level(number: int) -> _LevelThings:
-        rows, of_regions = levels[number]
-        matrix = _by_region(entries, number, len(of_regions))
+    of_levels: list[_LevelThings] = []
+    for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
+        progress("things", number, len(embeddings))
+        matrix = _by_region(entries, number, len(of_level))
         view_rows = {name: rows[name] for name in names}
-        return _things_of_level(matrix, view_rows, of_regions, MOST_THINGS // len(levels))
-
-    of_levels = _of_all_levels(of_level, len(levels), progress)
+        of_levels.append(_things_of_level(matrix, view_rows, of_level, MOST_THINGS // len(embeddings)))
+    progress("things", len(embeddings), len(embeddings))
     owners, strays = _owners(sums, of_levels), []
     if sums.means is not None:
-        strays = _of_all_levels(
-            lambda number: _drop_strays(sums, owners[:, number], entries.total), len(levels)
-        )
+        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
     return FoundThings(_number_things(of_levels, owners), strays)
-
-
-def _of_all_levels(
-    work: Callable[[int], _Result], count: int, progress: Progress = no_progress
-) -> list[_Result]:
-    """Return what ``work`` makes of each level, several at a time."""
-    results = worked_ahead(work, range(count), min(count, torch.get_num_threads()))
-    return [future.result() for _, future in reported(results, "things", count, progress)]
 
 
 @dataclass(frozen=True, eq=False)
