@@ -117,9 +117,12 @@ class ViewedField:
         return digest.hexdigest()[:16]
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:
-        """Return the metadata of the field for a page (``scene_metadata``); an exported page names no missing file."""
-        without_words = exported and self.words_problem is not None
-        return {**self._metadata, **({"words_problem": NO_WORDS} if without_words else {})}
+        """Return the metadata of the field for a page (``scene_metadata``); an exported page names no missing file, and
+        has the things there, too."""
+        if not exported:
+            return dict(self._metadata)
+        problem = {} if self.words_problem is None else {"words_problem": NO_WORDS}
+        return {**self._metadata, **problem, "things": self.things()}
 
     @cached_property
     def _metadata(self) -> dict[str, Any]:
@@ -133,8 +136,6 @@ class ViewedField:
         stand for each part, its ``most`` how many Gaussians whole parts may have together if parts are merged.
         """
         canonical, metadata = None, self.metadata(exported)
-        if exported:
-            metadata["things"] = self.things()
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
         if self._parts is None:
