@@ -7,6 +7,7 @@ meanwhile.
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 import zlib
@@ -33,6 +34,7 @@ MOST_TRIED = 3  # attempts that require all scans to be unchanged
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Found = TypeVar("Found")
+_REMEDY = "add the field of this scan again, or remove it"  # of what the matrix lacks
 
 
 def vector_bytes(vectors: Tensor) -> bytes:
@@ -138,30 +140,32 @@ class KeptScans:
             return {name: known[name][1] for name in stamps}
 
     def _compared(self, scans: Sequence[Scan], words: Tensor) -> Iterator[ThingIndex]:
-        for scan in scans:
-            yield scan.index(self._vectors(scan, words.shape[1]), words, self._digest)
-
-    def _vectors(self, scan: Scan, dim: int) -> Tensor:
-        """Return the vectors [T, dim] of a scan, in memory: mapped ones would end the process if the file is cut."""
-        remedy = "add the field of this scan again, or remove it"
-        path = existing_file(
-            self._folder / MATRIX, f"a matrix with the vectors of the scan {scan.name}", remedy
-        )
-        rows = np.empty((len(scan), dim), "<f2")
+        if not scans:
+            return
+        expected = f"a matrix with the vectors of the scan {scans[0].name}"
+        path = existing_file(self._folder / MATRIX, expected, _REMEDY)
         try:
             with path.open("rb") as stream:
-                end = os.fstat(stream.fileno()).st_size  # a damaged row may be too large for seek
-                stream.seek(min(scan.row * dim * rows.itemsize, end))
-                size = stream.readinto(rows.data.cast("B"))
+                for scan in scans:
+                    vectors = _vectors(path, stream, scan, words.shape[1])
+                    yield scan.index(vectors, words, self._digest)
         except OSError as error:
             raise FileFormatError.unreadable(path, error) from error
-        if size < rows.nbytes or zlib.crc32(rows.data) != scan.vectors_checksum:
-            raise FileFormatError(path, f"is damaged in the vectors of the scan {scan.name}", remedy)
-        vectors = torch.from_numpy(rows)
-        if not vectors.isfinite().all():
-            problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
-            raise FileFormatError(path, problem, remedy)
-        return vectors
+
+
+def _vectors(path: Path, stream: io.BufferedReader, scan: Scan, dim: int) -> Tensor:
+    """Return the vectors [T, dim] of a scan, in memory: mapped ones would end the process if the file is cut."""
+    rows = np.empty((len(scan), dim), "<f2")
+    end = os.fstat(stream.fileno()).st_size  # a damaged row may be too large for seek
+    stream.seek(min(scan.row * dim * rows.itemsize, end))
+    size = stream.readinto(rows.data.cast("B"))
+    if size < rows.nbytes or zlib.crc32(rows.data) != scan.vectors_checksum:
+        raise FileFormatError(path, f"is damaged in the vectors of the scan {scan.name}", _REMEDY)
+    vectors = torch.from_numpy(rows)
+    if not vectors.isfinite().all():
+        problem = f"contains values that are not finite, in the vectors of the scan {scan.name}"
+        raise FileFormatError(path, problem, _REMEDY)
+    return vectors
 
 
 def free_row(scans: Iterable[Scan], count: int) -> int:
