@@ -110,7 +110,6 @@ class Vote::Worker {
   public:
     explicit Worker(const Vote& vote)
         : vote_(vote), kernels_(pick(baseline::vote_kernels, v3::vote_kernels, v4::vote_kernels)), codes_(vote.codes()),
-          one_atom_(std::all_of(vote.k_.begin(), vote.k_.end(), [](int32_t k) { return k == 1; })),
           sums_(size_t(codes_.row())), products_(size_t(codes_.row())), is_coded_(new bool[size_t(vote.levels()) + 1]) {}
 
     // Brings the entries of all views in a bucket together by Gaussian, each one's by view, then combination.
@@ -147,7 +146,6 @@ class Vote::Worker {
     template <class Index>
     void keep(int64_t place, int32_t k, bool unit_norm, Index* indices, float* weights) {
         const int32_t n_atoms = vote_.n_atoms_;
-        if (k == 1 && !unit_norm && one_atom_) return keep_largest(place, indices, weights);
         const bool few_named = n_atoms > kWide && k <= kMostByInsertion;
         found_.resize(size_t(std::max(n_atoms, k)));
         atoms_.resize(found_.size());
@@ -218,32 +216,6 @@ class Vote::Worker {
         return {products_.data(), is_coded_.get(), earlier.sharpness};
     }
 
-    // The same for the largest alone, of regions of one atom: every level in one pass over the entries.
-    template <class Index>
-    void keep_largest(int64_t place, Index* indices, float* weights) {
-        const int32_t levels = vote_.levels();
-        largest_.assign(size_t(levels), Share{0, 0.0f});
-        Share* const largest = largest_.data();
-        float* const sums = sums_.data();
-        const VoteEntry* entries = entries_of(place);
-        for (int64_t i = 0; i < entries_in(place); ++i) {
-            const Share* share = codes_.shares + int64_t(entries[i].combination) * levels;
-            for (int32_t level = 0; level < levels; ++level) {
-                const Share here = {share[level].place, std::exchange(sums[share[level].place], 0.0f)};
-                if (before(here, largest[level])) largest[level] = here;
-            }
-        }
-        for (int32_t level = 0; level < levels; ++level) {
-            const bool found = largest[level].weight > 0;
-            weights[level] = found ? 1.0f : 0.0f;
-            indices[level] = Index(found ? largest[level].place - level * vote_.n_atoms_ : 0);
-        }
-    }
-
-    static bool before(const Share& a, const Share& b) {
-        return a.weight > b.weight || (a.weight == b.weight && a.place < b.place);
-    }
-
     // Of those of a level that the Gaussian's entries name, the largest positive ones, the first atom of equals. Each is
     // set to zero when it is met: none counts twice.
     int32_t take_largest_named(int64_t place, int32_t level, int32_t k) {
@@ -263,7 +235,9 @@ class Vote::Worker {
             }
         }
         const int64_t count = std::min<int64_t>(k, n_named);
-        std::partial_sort(named, named + count, named + n_named, before);
+        std::partial_sort(named, named + count, named + n_named, [](const Share& a, const Share& b) {
+            return a.weight > b.weight || (a.weight == b.weight && a.place < b.place);
+        });
         for (int64_t j = 0; j < count; ++j) {
             found_[size_t(j)] = named[j].weight;
             atoms_[size_t(j)] = named[j].place - level * vote_.n_atoms_;
@@ -285,11 +259,10 @@ class Vote::Worker {
     const Vote& vote_;
     const VoteKernels& kernels_;
     CombinationCodes codes_;
-    bool one_atom_;  // per region, at every level
     int64_t count_ = 0;
     std::vector<uint32_t> starts_, next_;
     std::vector<VoteEntry> entries_;
-    std::vector<Share> named_, largest_;
+    std::vector<Share> named_;
     std::vector<float> sums_, products_, factors_, found_;
     std::vector<int32_t> atoms_;
     std::vector<const float*> rows_;
