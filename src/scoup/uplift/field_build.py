@@ -7,13 +7,14 @@ from pathlib import Path
 
 from torch import Tensor
 
+from scoup import raster
 from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, temporary_folder
 from scoup.field import Field, FieldInfo, ThingTable
 from scoup.scene import Cameras, Gaussians, Regions, sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.near_plane import scene_preset
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model
-from scoup.uplift.rasterise import cameras_with_regions, check_sums, region_sums, release_memory
+from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums, release_memory
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest
 from scoup.uplift.settings import BuildSettings, build_settings
 from scoup.uplift.stored_sums import RegionSums
@@ -70,22 +71,27 @@ def build(
     settings = build_settings(settings, n_atoms=None if codebook is None else codebook.n_atoms)
     model = recorded_model(sources.embedding_model, sources.words)  # a mistake shows before the long work
     with temporary_folder() as folder:
-        views = Cameras(cameras_with_regions(cameras, regions))
+        with_regions = cameras_with_regions(cameras, regions)
+        views = Cameras(with_regions)
+        prepared = None if sums else raster.prepare_gaussians(gaussians, settings.backend)
         if sums is None:
-            preset = scene_preset(gaussians, list(views), settings.raster_preset, settings.backend)
+            preset = scene_preset(gaussians, with_regions, settings.raster_preset, settings.backend, prepared)
             sums = RegionSums.empty(gaussians, regions.levels, preset, folder / "sums", settings.scale)
         check_sums(sums, gaussians, regions, settings)
         regions = regions.select(views.names)
         embeddings = RegionEmbeddings.load(regions)
         _warn_of_problems(gaussians)
         if settings.check_fit and not len(sums):
-            fit.check_fit(gaussians, list(views), sums.raster_preset, settings.backend, sources.geometry_path)
+            fit.check_fit(
+                gaussians, with_regions, sums.raster_preset, settings.backend, sources.geometry_path, prepared
+            )
 
         codes = code_regions(embeddings, settings, codebook, gaussians.device, progress)
         inputs = inputs_digest(sums.fingerprint, views, embeddings, settings, codebook)
         rounded = [rows.cpu().half() for rows in embeddings.of_levels]
         del embeddings  # the rest needs codes and rounded embeddings only
-        sums = region_sums(gaussians, views, regions, settings, sums=sums, progress=progress)
+        sums = add_views(sums, gaussians, with_regions, regions, settings.backend, progress, prepared)
+        del prepared
         sums = sums.select(views.names, codes.rows)
         things = find_things(sums, rounded, progress) if settings.things else None
         release_memory()
@@ -138,8 +144,9 @@ def check_scene(
     settings, views = build_settings(settings), list(cameras)
     _warn_of_problems(gaussians)
     if check_fit and settings.check_fit:
-        preset = scene_preset(gaussians, views, settings.raster_preset, settings.backend)
-        fit.check_fit(gaussians, views, preset, settings.backend, splat)
+        prepared = raster.prepare_gaussians(gaussians, settings.backend)
+        preset = scene_preset(gaussians, views, settings.raster_preset, settings.backend, prepared)
+        fit.check_fit(gaussians, views, preset, settings.backend, splat, prepared)
 
 
 def _warn_of_problems(gaussians: Gaussians) -> None:

@@ -197,14 +197,15 @@ def check_fit(
     raster_preset: str = "inria",
     backend: str | None = None,
     splat: str | Path | None = None,
+    prepared: raster.PreparedGaussians | None = None,
 ) -> None:
     """Raise an InputError for cameras that do not fit the splat, and warn of a doubtful fit, or of photographs with
     which no render can be compared.
 
     ``raster_preset`` has the near plane of the scene (``scene_preset``); ``splat`` is the file of the Gaussians, for
-    messages.
+    messages; ``prepared`` are the same Gaussians, if they are prepared already.
     """
-    fit = _measured(gaussians, cameras, raster_preset, backend)
+    fit = _measured(gaussians, cameras, raster_preset, backend, prepared)
     problem = fit.problem(cameras, splat)
     if fit.is_hopeless:
         raise InputError(f"{problem}; {OVERRIDE}")
@@ -221,7 +222,11 @@ def measure_fit(
 
 
 def _measured(
-    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str, backend: str | None
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    raster_preset: str,
+    backend: str | None,
+    prepared: raster.PreparedGaussians | None = None,
 ) -> Fit:
     """Return the fit by renders with this near plane."""
     views = sample_views(cameras)
@@ -230,17 +235,18 @@ def _measured(
     views = small_views(views)
     photographs = load_photographs(views)
 
-    def compared(gaussians: Gaussians, views: Sequence[Camera]) -> tuple[Array, Array]:
-        images, alphas = render_small(raster.prepare_gaussians(gaussians, backend), views, raster_preset)
+    def compared(prepared: raster.PreparedGaussians, views: Sequence[Camera]) -> tuple[Array, Array]:
+        images, alphas = render_small(prepared, views, raster_preset)
         return (alphas > 0.5).mean((1, 2)), similarities(images, alphas, photographs)
 
-    coverage, similarity = compared(gaussians, views)
+    coverage, similarity = compared(prepared or raster.prepare_gaussians(gaussians, backend), views)
     fit = Fit(tuple(camera.name for camera in views), coverage, similarity, raster_preset=raster_preset)
     if not fit.compared.any() or np.median(fit.own[fit.compared]) >= SURE:
         return fit
     gains = {
-        change: float(np.median(np.nan_to_num(np.diagonal(compared(splat, cameras)[1]) - fit.own)))
+        change: float(np.median(np.nan_to_num(np.diagonal(compared(prepared, cameras)[1]) - fit.own)))
         for change, splat, cameras in _changes(gaussians, views)
+        for prepared in [raster.prepare_gaussians(splat, backend)]
     }
     best = max(gains, key=gains.__getitem__)
     return replace(fit, matches=best) if gains[best] > BETTER else fit

@@ -35,10 +35,15 @@ SAMPLE = 100_000  # Gaussians that tell the depth
 
 
 def scene_preset(
-    gaussians: Gaussians, cameras: Sequence[Camera], preset: str = "inria", backend: str | None = None
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    preset: str = "inria",
+    backend: str | None = None,
+    prepared: raster.PreparedGaussians | None = None,
 ) -> str:
     """Return the name of a raster preset with a near plane that cuts nothing of the scene: the preset itself, or with
-    the near plane after a colon, as "inria:0.0125". A preset with a colon is returned as it is.
+    the near plane after a colon, as "inria:0.0125". A preset with a colon is returned as it is. ``prepared`` are the
+    same Gaussians, if they are prepared already.
 
     Warns:
         ScoupWarning: the near plane cuts what cameras see, and no photograph tells whether it belongs to the scene.
@@ -55,7 +60,7 @@ def scene_preset(
     if not any(bool(_between(gaussians, view, nearer, usual).any()) for view in views):
         return preset
     small = small_views(views)
-    prepared = raster.prepare_gaussians(gaussians, backend)
+    prepared = prepared or raster.prepare_gaussians(gaussians, backend)
     shares = _shares_cut(prepared, small, lower, usual)
     cut = shares >= CUTS
     if not cut.any():

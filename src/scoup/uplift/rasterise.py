@@ -118,9 +118,10 @@ def add_views(
     regions: Regions,
     backend: str | None = None,
     progress: Progress = no_progress,
+    prepared: raster.PreparedGaussians | None = None,
 ) -> RegionSums:
     """Return the sums with these views. Views that ``sums`` lack, or contain with other cameras or label maps, are
-    rasterised at their scale.
+    rasterised at their scale. ``prepared`` are the same Gaussians, if they are prepared already.
 
     ``sums`` are not changed. Interrupted at any moment, their folder contains the views that were complete.
     """
@@ -128,7 +129,6 @@ def add_views(
     if sums.means is None:
         sums.means = gaussians.means.cpu()[sums.order]
     cameras = [_at_scale(camera, sums.scale) for camera in cameras]
-    prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
 
     def append(camera: Camera, combined: CombinedLabels, view_sums: ViewSums, order: Tensor | None) -> None:

@@ -76,6 +76,8 @@ def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
     """
     count = len(images)
     missing: NDArray[np.bool_] = np.isnan(photographs[:, 0, 0, 0])
+    if missing.all():
+        return np.full((count, count), np.nan)
     filled = np.where(missing[:, None, None, None], 0.0, photographs)
     empty = filled[~missing][alphas[~missing] < 0.1]
     background = np.median(empty, axis=0) if len(empty) else np.zeros(3)
