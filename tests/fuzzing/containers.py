@@ -21,8 +21,7 @@ import numpy as np
 import zstandard
 from safetensors.numpy import load, save
 
-from scoup.base.sealed_file import NO_CHECKSUM, array_checksum, sealed
-from scoup.uplift.storage.array_file import with_checksum
+from scoup.base.sealed_file import array_checksum, sealed
 
 _BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")
 _CHUNKS_OF_PIXELS = b"IDAT"
@@ -193,13 +192,6 @@ def _join_npy(data: bytes, parts: Sequence[bytes]) -> bytes:
     return data[:8] + struct.pack("<H", len(text)) + text + parts[1]
 
 
-def _join_sums(data: bytes, parts: Sequence[bytes]) -> bytes:
-    """Return a file of region sums whose checksum agrees."""
-    head, body = _split_safetensors(_join_safetensors(data, parts))
-    checksum = zlib.crc32(body, zlib.crc32(with_checksum(head, NO_CHECKSUM)))
-    return struct.pack("<Q", len(head)) + with_checksum(head, f"{checksum:08x}") + body
-
-
 def join_parts(container: Container, data: bytes, parts: Sequence[bytes]) -> bytes:
     """Run ``container.join`` without the warnings of libraries about strange parts."""
     with warnings.catch_warnings():
@@ -220,7 +212,6 @@ SEALED = Container(_split_sealed, _join_sealed)
 LABELS = Container(_split_labels, _join_labels)
 PARQUET = Container(split_parquet, _join_parquet)
 NPY = Container(_split_npy, _join_npy)
-SUMS = Container(_split_safetensors, _join_sums)
 PLY = Container(
     lambda data: [data[: data.index(b"end_header")], data[data.index(b"end_header") :]],
     lambda data, parts: b"".join(parts),

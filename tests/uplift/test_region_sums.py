@@ -14,7 +14,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
-from tests.fuzzing.containers import SUMS
+from tests.fuzzing.containers import SAFETENSORS, SEALED
 
 import scoup
 from cli_support import snapshot
@@ -220,23 +220,23 @@ def test_what_is_something_else_is_refused(path):
             RegionSums.open(nowhere)
 
 
-@pytest.mark.parametrize(("old", "new"), [
-    (r"\"version\": 1", r"\"version\": Infinity"),
-    ('"order"', '"deep": ' + "[" * 100_000 + ', "order"'),
-    ('"shape": [600]', '"shape": [1099511627776, 0]'),
-    ('"shape": [600]', '"shape": [601]'),
-    ('"shape": [600]', '"shape": [1e308, 1e308]'),
-    ("9600]", "9604]"), ('"I32"', '"BOOL"'),
+@pytest.mark.parametrize(("container", "old", "new"), [
+    (SEALED, '"version": 1', '"version": Infinity'),
+    (SAFETENSORS, '"order"', '"deep":' + "[" * 100_000 + ',"order"'),
+    (SAFETENSORS, '"shape":[600]', '"shape":[1099511627776,0]'),
+    (SAFETENSORS, '"shape":[600]', '"shape":[601]'),
+    (SAFETENSORS, '"shape":[600]', '"shape":[1e308,1e308]'),
+    (SAFETENSORS, "9600]", "9604]"), (SAFETENSORS, '"I32"', '"BOOL"'),
 ])  # fmt: skip
-def test_headers_that_make_no_sense(path, old, new):
+def test_headers_that_make_no_sense(path, container, old, new):
     file = path / "scene.safetensors"
     whole = file.read_bytes()
-    parts = SUMS.split(whole)
+    parts = container.split(whole)
     assert old.encode() in parts[0]
     parts[0] = parts[0].replace(old.encode(), new.encode(), 1)
-    file.write_bytes(SUMS.join(whole, parts))
+    file.write_bytes(container.join(whole, parts))
     # Reasons of json are worded by Python.
-    said = r"scene.safetensors: (is invalid|has an invalid format version)"
+    said = r"scene.safetensors: (is not a file of region sums or is damaged|has an invalid format version)"
     with pytest.raises(FileFormatError, match=said):
         RegionSums.open(path)
 

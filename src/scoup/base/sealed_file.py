@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from scoup.base.errors import FileFormatError, ScoupError
 from scoup.base.inputs import existing_file
@@ -26,7 +26,7 @@ class SealedFile:
 
     path: Path
     stream: Any
-    """Of safetensors; its arrays are numpy's."""
+    """Of safetensors."""
     text: str
     """The header, "{}" in files of others."""
     remedy: str
@@ -34,10 +34,13 @@ class SealedFile:
 
     @classmethod
     @contextmanager
-    def open(cls, path: Path, what: str, remedy: str, other: str = "") -> Iterator[SealedFile]:
+    def open(
+        cls, path: Path, what: str, remedy: str, other: str = "", framework: Literal["numpy", "pt"] = "numpy"
+    ) -> Iterator[SealedFile]:
         """Open a file; every failure of reading it in the block becomes a FileFormatError.
 
-        ``other`` is the remedy for a file of another format, "" if that counts as damage.
+        ``other`` is the remedy for a file of another format, "" if that counts as damage. Tensors of the framework "pt"
+        are mapped, and stay so when the file is closed; arrays of "numpy" are read.
         """
         from safetensors import safe_open
 
@@ -47,7 +50,7 @@ class SealedFile:
                 with path.open("rb") as start:
                     if start.read(9)[8:] != b"{":  # of the header of any safetensors file
                         raise FileFormatError(path, f"is not {what}", other)
-            with safe_open(path, framework="numpy") as stream:
+            with safe_open(path, framework=framework) as stream:
                 yield cls(path, stream, (stream.metadata() or {}).get(KEY, "{}"), remedy)
 
     @staticmethod
@@ -55,6 +58,14 @@ class SealedFile:
         """Return the metadata to write: a header with the checksums of the arrays and its own."""
         checksums = {name: array_checksum(array) for name, array in arrays.items()}
         return {KEY: sealed({**header, "checksums": checksums})}
+
+    def check(self, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Compare the header and all arrays of the file with their checksums."""
+        self.check_header(header["checksum"])
+        if header["checksums"].keys() != arrays.keys():
+            raise FileFormatError(self.path, "is damaged (its header names other tensors)", self.remedy)
+        for name, array in arrays.items():
+            self.check_array(name, array, header["checksums"][name])
 
     def check_header(self, checksum: object) -> None:
         """Compare the header with its checksum."""

@@ -45,12 +45,7 @@ def read_content(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         arrays = {name: file.stream.get_tensor(name) for name in file.stream.keys()}  # noqa: SIM118
     with invalid_contents(path, *INCOMPLETE):
         check_format_version(path, header["version"], VERSION)
-        file.check_header(header["checksum"])
-        checksums = header["checksums"]
-        if checksums.keys() != arrays.keys():
-            raise FileFormatError(path, "is damaged (its header names other tensors)", REBUILD)
-        for name, array in arrays.items():
-            file.check_array(name, array, checksums[name])
+        file.check(header, arrays)
         check_content(header, arrays)
     return header, arrays
 
