@@ -205,6 +205,7 @@ def check_fit(
     ``raster_preset`` has the near plane of the scene (``scene_preset``); ``splat`` is the file of the Gaussians, for
     messages; ``prepared`` are the same Gaussians, if they are prepared already.
     """
+    prepared = prepared or raster.prepare_gaussians(gaussians, backend)
     fit = _measured(gaussians, cameras, raster_preset, backend, prepared)
     problem = fit.problem(cameras, splat)
     if fit.is_hopeless:
@@ -218,7 +219,9 @@ def measure_fit(
 ) -> Fit:
     """Render some of the cameras small, and compare the renders with those photographs that can be read; the near plane
     is that of the scene."""
-    return _measured(gaussians, cameras, scene_preset(gaussians, cameras, raster_preset, backend), backend)
+    prepared = raster.prepare_gaussians(gaussians, backend)
+    preset = scene_preset(gaussians, cameras, raster_preset, backend, prepared)
+    return _measured(gaussians, cameras, preset, backend, prepared)
 
 
 def _measured(
@@ -226,7 +229,7 @@ def _measured(
     cameras: Sequence[Camera],
     raster_preset: str,
     backend: str | None,
-    prepared: raster.PreparedGaussians | None = None,
+    prepared: raster.PreparedGaussians,
 ) -> Fit:
     """Return the fit by renders with this near plane."""
     views = sample_views(cameras)
@@ -239,15 +242,15 @@ def _measured(
         images, alphas = render_small(prepared, views, raster_preset)
         return (alphas > 0.5).mean((1, 2)), similarities(images, alphas, photographs)
 
-    coverage, similarity = compared(prepared or raster.prepare_gaussians(gaussians, backend), views)
+    coverage, similarity = compared(prepared, views)
     fit = Fit(tuple(camera.name for camera in views), coverage, similarity, raster_preset=raster_preset)
     if not fit.compared.any() or np.median(fit.own[fit.compared]) >= SURE:
         return fit
-    gains = {
-        change: float(np.median(np.nan_to_num(np.diagonal(compared(prepared, cameras)[1]) - fit.own)))
-        for change, splat, cameras in _changes(gaussians, views)
-        for prepared in [raster.prepare_gaussians(splat, backend)]
-    }
+    gains = {}
+    for change, splat, cameras in _changes(gaussians, views):
+        changed = prepared if splat is gaussians else raster.prepare_gaussians(splat, backend)
+        gain = np.diagonal(compared(changed, cameras)[1]) - fit.own
+        gains[change] = float(np.median(np.nan_to_num(gain)))
     best = max(gains, key=gains.__getitem__)
     return replace(fit, matches=best) if gains[best] > BETTER else fit
 
