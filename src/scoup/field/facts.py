@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.field.checks import weight_bits
+from scoup.field.checks import LEAST_GAUSSIANS, weight_bits
 from scoup.field.container import place_of, read_content
-from scoup.field.content import LEAST_GAUSSIANS
 
 DOUBTFUL_SHARE = 0.4
 """A thing with this share of its level's Gaussians makes answers doubtful. Of nineteen fields, no other figure orders
