@@ -7,7 +7,7 @@ a thing answers where more than half of its Gaussians do.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
@@ -18,7 +18,7 @@ from torch import Tensor
 from scoup.field import Field
 from scoup.models import TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
-from scoup.query.expression import Expression, Operation
+from scoup.query.expression import Expression, Node, Operation
 from scoup.query.frame import scene_frame
 from scoup.query.named import named_texts
 from scoup.query.phrases import Phrase, texts_of
@@ -62,7 +62,8 @@ def each_answer(field: Field, question: Question[Any]) -> Iterator[Answer]:
 def _by_votes(field: Field, question: Question[Any]) -> Iterator[Answer]:
     scores: list[float | None] = [None] * len(question.texts)
     if question.can_judge_presence:
-        votes = sampled_votes(field, question)
+        words = (vectors.cpu().numpy().tobytes() for vectors in (question.everyday, question.canonical))
+        votes = field.kept((SampledVotes, *words), lambda: SampledVotes(field, question))
         fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits[None])
         scores = [score(fit) for score, fit in zip(of_texts, fits, strict=True)]
     for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
@@ -71,12 +72,6 @@ def _by_votes(field: Field, question: Question[Any]) -> Iterator[Answer]:
         asked = question.vectors_of(number, selection.level)
         mask = mask if presence else torch.zeros_like(mask)
         yield Answer(text, mask, level, score, asked, presence, threshold=selection.threshold)
-
-
-def sampled_votes(field: Field, question: Question[Any]) -> SampledVotes:
-    """Return the votes of some Gaussians of a field for everyday words, from its cache."""
-    words = (vectors.cpu().numpy().tobytes() for vectors in (question.everyday, question.canonical))
-    return field.kept((SampledVotes, *words), lambda: SampledVotes(field, question))
 
 
 def answers_of(field: Field, question: Question[Any], keep: bool = True) -> list[Answer]:
@@ -119,16 +114,21 @@ class _Selected:
     things: tuple[Thing, ...] = ()  # that may answer
     excluded: tuple[Thing, ...] = ()  # under "not"
 
-    def negated(self) -> _Selected:
-        return _Selected(~self.mask, self.excluded, self.things)
-
     @staticmethod
-    def joined(operator: str, one: _Selected, other: _Selected) -> _Selected:
-        return _Selected(
-            one.mask & other.mask if operator == "and" else one.mask | other.mask,
-            one.things + other.things,
-            one.excluded + other.excluded,
-        )
+    def of(node: Node, of_leaf: Callable[[str | Phrase], _Selected]) -> _Selected:
+        """Return the selection of a node from those of its leaves."""
+        if not isinstance(node, Operation):
+            return of_leaf(node)
+        first, *others = (_Selected.of(part, of_leaf) for part in node.parts)
+        if node.operator == "not":
+            return _Selected(~first.mask, first.excluded, first.things)
+        for other in others:
+            first = _Selected(
+                first.mask & other.mask if node.operator == "and" else first.mask | other.mask,
+                first.things + other.things,
+                first.excluded + other.excluded,
+            )
+        return first
 
 
 def evaluated(
@@ -153,7 +153,7 @@ def evaluated(
         mask = answers[leaf].mask if isinstance(leaf, str) else _union(things, len(field))
         return _Selected(mask, tuple(things))
 
-    selected = tree.fold(of_leaf, _Selected.negated, _Selected.joined)
+    selected = _Selected.of(tree.root, of_leaf)
     mask, matches = selected.mask, [] if isinstance(tree.root, Operation) else list(selected.things)
     if by_things:
         candidates = _once(selected.things if wanted else of_texts[""])
