@@ -106,7 +106,9 @@ def truth(expression: Expression, leaves: Sequence[str]) -> torch.Tensor:
         if not isinstance(node, Operation):
             return masks[str(node)]
         parts = torch.stack([value(part) for part in node.parts])
-        return ~parts[0] if node.operator == "not" else parts.all(0) if node.operator == "and" else parts.any(0)
+        return (
+            ~parts[0] if node.operator == "not" else parts.all(0) if node.operator == "and" else parts.any(0)
+        )
 
     return value(expression.root)
 

@@ -138,11 +138,6 @@ class PixelCosines:
     canonical: Tensor  # [P, D], the phrases of the last query
     best: Tensor  # [H, W, S], their largest cosine
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all tensors."""
-        return self.inverse_norms.nbytes + self.canonical.nbytes + self.best.nbytes
-
 
 def pixel_relevancy(
     projection: raster.Projection,

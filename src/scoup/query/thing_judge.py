@@ -88,13 +88,9 @@ class ThingIndex:
     known_best_fits: Tensor | None = None  # [S, B] float32
 
     @classmethod
-    def of(
-        cls, things: ThingTable, words: Tensor, counts: Tensor | None = None, shares: Shares | None = None
-    ) -> ThingIndex:
-        """Compare things with everyday words, or with whatever stands in their place; ``counts`` and ``shares`` replace
-        the owners of the table."""
-        if counts is None:
-            counts = things.sums(torch.ones(len(things.owners))).float()
+    def of(cls, things: ThingTable, words: Tensor) -> ThingIndex:
+        """Compare things with everyday words, or with whatever stands in their place."""
+        counts = things.sums(torch.ones(len(things.owners))).float()
         vectors, mass = things.embeddings.float().cpu(), things.mass.cpu()
         return cls(
             words=words.clone(),
@@ -106,7 +102,7 @@ class ThingIndex:
             doubt=_doubt(things.n_regions.cpu(), things.stability.cpu()),
             spread=torch.full_like(mass, things.spread),
             hubs=hub_cosines(vectors, words),
-            shares=shares or shared_gaussians(things),
+            shares=shared_gaussians(things),
         )
 
     @classmethod
@@ -147,11 +143,6 @@ class ThingIndex:
         """Return the index of other words."""
         hubs = torch.cat([hub_cosines(vectors, words) for vectors in self.vectors])
         return replace(self, words=words, hubs=hubs, known_best_fits=None)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of its largest tensors."""
-        return self.words.nbytes + sum(vectors.nbytes for vectors in self.vectors)
 
     @cached_property
     def starts(self) -> list[int]:
@@ -357,15 +348,10 @@ def shared_gaussians(things: ThingTable) -> Shares:
         pairs = keys // max(count, 1), keys % max(count, 1)
         rows, others = torch.cat([rows, *pairs]), torch.cat([others, *reversed(pairs)])
         counts = torch.cat([counts, *[shared.float()] * 2])
-    return shares_of(rows, others, counts, count)
-
-
-def shares_of(rows: Tensor, others: Tensor, gaussians: Tensor, count: int) -> Shares:
-    """Return the Gaussians that pairs of ``count`` things share, in order of these."""
     order = (rows * count + others).argsort()
     ends = torch.zeros(count + 1, dtype=torch.int64)
     ends[1:] = torch.bincount(rows, minlength=count).cumsum(0)
-    return Shares(ends, others[order].int(), gaussians[order])
+    return Shares(ends, others[order].int(), counts[order])
 
 
 def thing_index(field: Field, texts: TextVectors) -> ThingIndex | None:
