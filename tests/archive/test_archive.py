@@ -342,8 +342,9 @@ def test_parts_and_wholes_of_what_looks_alike_are_left_out() -> None:
         shared[pair] = shared[pair[::-1]] = index.counts[pair[0]] * 0.6
         sizes = index.counts.clone()
         sizes[pair[1]] *= 10
-        pairs = shared.to_sparse_csr()
-        shares = Shares(pairs.crow_indices(), pairs.col_indices().int(), pairs.values())
+        rows, others = shared.nonzero(as_tuple=True)
+        ends = torch.nn.functional.pad(rows.bincount(minlength=len(every)).cumsum(0), (1, 0))
+        shares = Shares(ends, others.int(), shared[rows, others])
         nested = replace(index, shares=shares, counts=sizes)
         things = [found.thing for found in look_alikes(nested, vector, "", [every >= 0])]
         assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)
