@@ -24,6 +24,7 @@ from scoup.query.question import Question
 from scoup.query.relations import overlaps, related_pairs, relations
 from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
+from scoup.query.view_answer import mask_box
 from scoup.scene import Camera
 
 SCHEMA = "scoup scene graph"
@@ -214,14 +215,11 @@ def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
 
 def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:
     """Return the rows and columns around a mask [H, W] with a margin; None if it is empty."""
-    rows, columns = np.nonzero(mask.numpy())
-    if not len(rows):
+    if (box := mask_box(mask)) is None:
         return None
-    margin = int(MARGIN * max(np.ptp(rows), np.ptp(columns))) + 8
-    return (
-        slice(max(0, rows.min() - margin), rows.max() + margin + 1),
-        slice(max(0, columns.min() - margin), columns.max() + margin + 1),
-    )
+    x0, y0, x1, y1 = box
+    margin = int(MARGIN * (max(x1 - x0, y1 - y0) - 1)) + 8
+    return slice(max(0, y0 - margin), y1 + margin), slice(max(0, x0 - margin), x1 + margin)
 
 
 def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | None = None) -> Picture:
