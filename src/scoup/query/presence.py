@@ -92,14 +92,6 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
     return ~alike & (near < constants.SAME_WORD)
 
 
-def compared_others(question: Question[Any]) -> Tensor:
-    """Return a mask of the everyday words that count for each text, [Q, B] boolean; [Q, 0] with too few words."""
-    queries = question.queries.float().cpu()
-    if not question.can_judge_presence:
-        return torch.zeros(len(queries), 0, dtype=torch.bool)
-    return other_words(queries, question.everyday.float().cpu())
-
-
 class TextScore:
     """The score of one text for fits in S scenes: against the best fits of everyday words, the share of these that are
     nearer to what fits best, and by its name if it has one.
@@ -161,6 +153,9 @@ def text_scores(
 ) -> list[TextScore]:
     """Return the score of each text against the best fits of everyday words [S, B], joined with those of its names in
     the scenes; with too few words, none counts."""
-    others, nothing = compared_others(question), [None] * len(question.texts)
+    queries, nothing = question.queries.float().cpu(), [None] * len(question.texts)
+    others = torch.zeros(len(queries), 0, dtype=torch.bool)
+    if question.can_judge_presence:
+        others = other_words(queries, question.everyday.float().cpu())
     every = zip(others, named or nothing, nearer or nothing, strict=True)
     return [TextScore(best_fits[:, : len(each)], each, names, of) for each, names, of in every]
