@@ -452,16 +452,7 @@ class Field:
 
     @classmethod
     def load(cls: type[Own], path: str | Path, gaussians: Gaussians | None = None) -> Own:
-        """Read a ``.scoup`` file.
-
-        Args:
-            path: the file.
-            gaussians: its geometry; by default the one embedded or referenced, loaded when first needed.
-
-        Raises:
-            FileFormatError: the file is not a language field, or damaged.
-            GeometryMismatchError: ``gaussians`` are not those it was built on.
-        """
+        """Read a ``.scoup`` file; ``LanguageField.load`` documents it."""
         return cls._loaded(path, gaussians)
 
     @classmethod
