@@ -123,8 +123,7 @@ class AnswerFiles:
             write_npz(folder / NPZ, answer_arrays(answers), compressed=True)
         if self._coco is not None:
             masks = [answer.mask.numpy() for answer in answers]
-            size = (camera.width, camera.height)
-            self._coco.add(camera.name, size, masks, [answer.score or 0.0 for answer in answers])
+            self._coco.add(camera.name, masks, [answer.score or 0.0 for answer in answers])
 
     def add_videos(
         self, field: Field, places: Sequence[Place], cameras: Cameras, hidden: Path, progress: Progress

@@ -275,7 +275,7 @@ class LabelFiles:
             if maps:
                 save_label_png(words, colors, folder / self._maps[number])
                 masks = [(words == word).numpy() for word in range(len(labels.names))]
-                coco.add(camera.name, (camera.width, camera.height), masks)
+                coco.add(camera.name, masks)
             if binary:
                 save_png(words >= 0, folder / self._masks[number])
             if number in on_sheet:
