@@ -68,7 +68,8 @@ class FieldCodes:
 
     def inverse_norms(self) -> Tensor:
         """Return 1 / sqrt(W G W^T), [N, S] float32; 0 without a code."""
-        return inverse_code_norms(self.indices, self.weights, self.codebook)
+        grams = torch.stack([atom_products(atoms, atoms) for atoms in self.codebook.float()])
+        return inverse_code_norms(self.indices, self.weights, grams)
 
     def coded(self) -> Tensor:
         """Return the mask of Gaussians with a code at each level, boolean [S, N]."""
@@ -83,7 +84,7 @@ class FieldCodes:
 
     def cosines(self, canonical: Tensor, inverse_norms: Tensor) -> GaussianCosines:
         """Compare the codes, whose norms are known, with canonical phrases [P, D]."""
-        best = best_code_cosines(self.indices, self.weights, inverse_norms, self.atom_scores(canonical))
+        best = best_code_cosines(self.indices, self.weights, self.atom_scores(canonical), inverse_norms)
         return GaussianCosines(self, inverse_norms, best)
 
     def features(self, level: int) -> Tensor:
@@ -125,9 +126,8 @@ class GaussianCosines:
         codes = self.codes
         # Query by query, so that other queries do not change the last bit.
         scores = [codes.atom_scores(query[None]) for query in queries] or [codes.atom_scores(queries)]
-        return code_relevancy(
-            codes.indices, codes.weights, self.inverse_norms, self.best, torch.cat(scores, 2), TEMPERATURE
-        )
+        parts = codes.indices, codes.weights, torch.cat(scores, 2), self.inverse_norms, self.best
+        return code_relevancy(*parts, TEMPERATURE).transpose(0, 1)  # what belongs to one query is contiguous
 
 
 @dataclass(frozen=True, eq=False)
