@@ -61,7 +61,7 @@ def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:
         ]
         if len(things) < len(results):
             warnings.warn(f"{field.path}: has changed; add it again", ScoupWarning, stacklevel=3)
-        for thing, picture in draw_things(field, things, list(field.cameras or ())):
+        for thing, picture, *_ in draw_things(field, things, list(field.cameras or ())):
             yield thing.number or 0, picture
     except ScoupError as error:
         warnings.warn(f"no pictures of the scan {results[0].scan}: {error}", ScoupWarning, stacklevel=3)

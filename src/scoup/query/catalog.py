@@ -144,7 +144,7 @@ def save_catalog(
         if cameras:
             (hidden / PICTURES).mkdir()
             progress("pictures", 0, len(catalog.things))
-        for thing, picture in draw_things(field, catalog.things, cameras):
+        for thing, picture, *_ in draw_things(field, catalog.things, cameras):
             Image.fromarray(picture).save(hidden / _picture_name(thing), quality=85)
             drawn.add(thing.number)
             progress("pictures", len(drawn), len(catalog.things))
@@ -166,9 +166,9 @@ def _picture_name(thing: Thing) -> str:
 
 def draw_things(
     field: Field, things: Sequence[Thing], cameras: Sequence[Camera]
-) -> Iterator[tuple[Thing, Picture]]:
-    """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
-    own."""
+) -> Iterator[tuple[Thing, Picture, Camera, tuple[slice, slice]]]:
+    """Yield each thing that can be seen, with its picture, and the camera and the window of its view that this shows:
+    the camera that sees it largest, else one of its own."""
     seen = [(thing, viewing_cameras(thing, cameras)) for thing in things if cameras]
     seen.sort(key=lambda pair: pair[1][0].name if pair[1] else "")  # so that each camera is rendered once
     view, colors = None, np.zeros((0, 0, 3), np.uint8)
@@ -179,7 +179,7 @@ def draw_things(
                 colors = as_picture(view.renders.colors().cpu())
             mask = view.mask_of(thing.gaussians)
             if (window := crop_window(mask)) is not None:
-                yield thing, cropped(colors, window, mask)
+                yield thing, cropped(colors, window, mask), camera, window
                 break
 
 
