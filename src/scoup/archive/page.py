@@ -27,14 +27,10 @@ _FOUND = """{% extends "page" %}{% macro cards(found) %}<ul>
 
 
 def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
-    """Return a page of things, with pictures where their fields are there and have cameras.
+    """Return a page, to be written to ``path``, of things with pictures where their fields are there and have cameras.
+    Each links to its scan's page, if `scoup view` has exported one beside the field.
 
     Pictures are drawn now, for these things only: drawing all would slow adding scans, and most are never shown.
-
-    Args:
-        title: above them.
-        results: each links to its scan's page, if `scoup view` has exported one beside the field.
-        path: of the page, for links.
     """
     pictures = {
         (scan, number): picture

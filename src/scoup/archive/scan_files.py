@@ -173,12 +173,8 @@ def read_places(
 
 
 def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
-    """Write the file of a scan, in place of the one that is there; another writer of the file is waited for.
-
-    Args:
-        scan: all of it.
-        table: its T things.
-        things: those that have a position.
+    """Write the file of a scan, of its table and of those things that have a position, in place of the one that is
+    there; another writer of the file is waited for.
 
     Raises:
         InputError: a column of the user's has no usable name.

@@ -75,12 +75,8 @@ def _facts_of_things(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:
-    """Return what makes the answers of things doubtful, as a sentence without its end; "" if nothing does.
-
-    Args:
-        owners: [N, S] the thing of each Gaussian at each level.
-        levels: [T] the level of each thing.
-    """
+    """Return what makes the answers of things with owners [N, S] and levels [T] doubtful, as a sentence without its
+    end; "" if nothing does."""
     return _doubt(_largest_share(owners, levels))
 
 

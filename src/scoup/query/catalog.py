@@ -121,16 +121,8 @@ def save_catalog(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> list[str]:
-    """Write the files of a catalogue into a folder; return their names, with those of pictures if there are cameras.
-
-    Args:
-        field: of the catalogue.
-        catalog: from ``field.catalog``.
-        folder: made if it is missing.
-        cameras: each thing is drawn in the one that sees it largest, if any sees it.
-        overwrite: replace existing files.
-        progress: called for the stage "pictures".
-    """
+    """Write the files of a field's catalogue into a folder, made if it is missing; return their names, with those of
+    pictures (``draw_things``) if there are cameras."""
     pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
     files = [GRAPH, TABLE, PAGE, *pictures]
     with staged(folder, files, overwrite) as hidden:

@@ -225,15 +225,8 @@ class LabelFiles:
         geometry: Path | None = None,
         progress: Progress = no_progress,
     ) -> list[Camera]:
-        """Write the files into an empty folder; return the cameras that see no coded Gaussian.
-
-        Args:
-            field: that was labelled, with its geometry.
-            labels: of its Gaussians.
-            folder: created if missing.
-            geometry: file of the splat; by default the one the field names.
-            progress: called after each view.
-        """
+        """Write the files into an empty folder, made if it is missing; return the cameras that see no coded Gaussian.
+        ``geometry`` is the file of the splat, by default the one the field names."""
         gaussians, outputs = field.gaussians.to("cpu"), self._outputs
         folder.mkdir(parents=True, exist_ok=True)
         if "sidecar" in outputs:

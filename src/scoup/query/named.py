@@ -78,11 +78,7 @@ def joined(
     choice: Choice, votes: Tensor, levels: Tensor, usable: Tensor, fits: Tensor, level: int | None = None
 ) -> Choice:
     """Return the things that answer a text, from a scene's choice and the votes [T] of a model that is sure of it.
-
-    Args:
-        choice, votes: of the text.
-        levels, usable, fits: [T], of the scene (``ThingIndex``).
-        level: the one that answers; None: the best.
+    ``levels``, ``usable`` and ``fits`` [T] are of the scene (``ThingIndex``); ``level`` answers, by default the best.
     """
     votes = torch.where(usable & (levels == level) if level is not None else usable, votes, 0.0)
     most, things = votes.max(), torch.tensor(choice.things)
@@ -105,12 +101,7 @@ def joined(
 
 
 def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int, tuple[str, ...]]:
-    """Return the names that a model gave to each thing that it is sure of, best first.
-
-    Args:
-        field: with or without names.
-        texts: that may be names; None: all.
-    """
+    """Return the names that a model gave to each thing that it is sure of, best first, all or some of ``texts``."""
     table = field.thing_table
     if table is None or table.names is None or not len(table.names.votes):
         return {}

@@ -57,13 +57,8 @@ def check_share(name: str, value: float | None) -> None:
 
 
 def presence_threshold(n_words: int, source: str, wanted: float | None = None) -> float | None:
-    """Return the score from which a text counts as present; None with too few everyday words to judge it.
-
-    Args:
-        n_words: number of everyday words.
-        source: of the words, for messages.
-        wanted: by default ``constants.PRESENT_FROM``.
-    """
+    """Return the score from which a text counts as present, by default ``constants.PRESENT_FROM``; None with too few
+    everyday words to judge it. Messages name their ``source``."""
     check_share("the least score of presence", wanted)
     if n_words >= LEAST_WORDS:
         return constants.PRESENT_FROM if wanted is None else wanted

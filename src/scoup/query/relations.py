@@ -215,14 +215,8 @@ def touching_things(shapes: Shapes) -> Iterator[tuple[int, int, bool, bool]]:
 def resolve(
     field: Field, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
 ) -> list[Thing]:
-    """Return the things that a text or phrase singles out, in the order of ``of_texts`` or of the phrase.
-
-    Args:
-        field: that was asked.
-        target: the text or phrase.
-        of_texts: the things that answer each of its texts; of "", all objects.
-        frame: what right, up and away mean; a text alone needs none.
-    """
+    """Return the things that a text or phrase singles out, in the order of the phrase or of ``of_texts``, the things
+    that answer each text (of "", all objects); a text alone needs no frame."""
     if isinstance(target, str) or frame is None:
         return list(of_texts[texts_of(target)[0]])
     things = list(of_texts[target.text])

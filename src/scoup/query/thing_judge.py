@@ -220,13 +220,8 @@ class ThingIndex:
         named: Sequence[Mapping[int, Named]],
         known_fits: Tensor | None = None,
     ) -> Iterator[list[Verdict]]:
-        """Yield the answer of each scene to each text of a question.
-
-        Args:
-            question: of Q texts.
-            named: for each text, by scene, what a model with words said of it (``named_texts``).
-            known_fits: [N, Q] of its texts, if they were asked for before.
-        """
+        """Yield the answer of each scene to each text of a question. ``named`` says for each text, by scene, what a
+        model with words said of it (``named_texts``); ``known_fits`` [N, Q] are of its texts, if asked for before."""
         fits = self.fits(question.queries) if known_fits is None else known_fits
         scores = self.text_scores(question, fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
