@@ -30,19 +30,14 @@ GAUSSIANS_AT_A_TIME = 65536
 
 
 def relevancy(
-    cosines: Tensor,  # [S, Q, ...]
-    canonical: Tensor,  # [S, P, ...]
+    cosines: Tensor,  # [S, Q, ...] of queries, per level; of pixels or Gaussians
+    canonical: Tensor,  # [S, P, ...] of canonical phrases, one at least
     temperature: float = TEMPERATURE,
 ) -> Tensor:
     """Return the advantage of a query over the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
 
-    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)). Where
-    nothing is rendered, all cosines are 0 and relevancy is 0.5.
-
-    Args:
-        cosines: of Q queries, per level; the trailing shape is free (pixels, Gaussians).
-        canonical: of P >= 1 canonical phrases.
-        temperature: a.
+    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)) with the
+    temperature a. Where nothing is rendered, all cosines are 0 and relevancy is 0.5.
     """
     if cosines.dim() < 2 or cosines.dim() != canonical.dim():
         raise InputError(

@@ -200,13 +200,10 @@ class AnswerSheets:
 
     Of more views than ``MOST_VIEWS`` only the best are kept: the texts choose in turn, each the view in which its
     mask is largest among those not yet chosen.
-
-    Args:
-        texts: of the query, one or more.
-        views: number of views that will be added, one or more.
     """
 
     def __init__(self, texts: Sequence[str], views: int) -> None:
+        """Make sheets of one or more texts in so many views, of which each will be added."""
         self.texts, self.views = tuple(texts), views
         several = len(texts) > 1
         columns = -(-len(texts) // len(self)) if several else min(views, VIEWS_BESIDE)

@@ -267,18 +267,13 @@ class ThingIndex:
 
 @dataclass(frozen=True, eq=False)
 class AskedThings:
-    """The things of an index, asked the texts of a question.
-
-    Args:
-        names: of the things of some scenes, by scene.
-        encode: ``encoder.encode`` with a cache.
-    """
+    """The things of an index, asked the texts of a question."""
 
     index: ThingIndex
     question: Question[Any]
-    names: Mapping[int, NameTable]
+    names: Mapping[int, NameTable]  # of the things of some scenes
     encoder: TextEncoder
-    encode: Callable[[tuple[str, ...]], Tensor]
+    encode: Callable[[tuple[str, ...]], Tensor]  # of the encoder, with a cache
 
     @cached_property
     def fits(self) -> Tensor:
