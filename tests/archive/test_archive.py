@@ -235,7 +235,7 @@ def test_errors_of_duckdb_are_ours(archive: scoup.Archive) -> None:
         ("COPY (SELECT 1) TO '/nowhere/a.parquet' (FORMAT parquet)", FileNotFoundError),
     ):
         with pytest.raises(error):
-            call(connection, lambda opened, query=query: opened.execute(query).fetchall())
+            call(connection, query)
     room = Path(str(scoup.archive.__file__)).parent
     users = [path.name for path in room.glob("*.py") if "import duckdb" in path.read_text(encoding="utf-8")]
     assert users == ["database.py"]
