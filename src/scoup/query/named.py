@@ -42,19 +42,14 @@ class Named:
 
     def score(self, by_field: float | None = None, thing: int | None = None) -> float:
         """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
-        presence = joined_presence(float(self.names.presence[self.number]), by_field)
+        presence = float(self.names.presence[self.number])
+        if by_field is not None:
+            bounded = min(max(by_field, 0.01), 0.99)
+            raised = presence * (bounded / (1 - bounded)) ** constants.FIELD_POWER
+            presence = raised / (raised + 1 - presence)
         if thing is None or not self.is_sure:
             return presence
         return presence * float(self.votes[thing] / self.votes.max())
-
-
-def joined_presence(presence: float, by_field: float | None) -> float:
-    """Return the presence of a text, from that of the photographs and the field's score of it."""
-    if by_field is None:
-        return presence
-    bounded = min(max(by_field, 0.01), 0.99)
-    raised = presence * (bounded / (1 - bounded)) ** constants.FIELD_POWER
-    return raised / (raised + 1 - presence)
 
 
 def named_texts(table: ThingTable | None, question: Question) -> list[dict[int, Named]]:
@@ -116,16 +111,12 @@ def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int,
         & (names.presence[usable] >= constants.LIKELY)
     )
     by_thing = {}
-    for thing, row in enumerate(best_words(votes).tolist()):
+    best = less_common(votes).topk(min(constants.NAMES, votes.shape[1]), dim=1).indices
+    for thing, row in enumerate(best.tolist()):
         rows = [usable[word] for word in row if sure[thing, word]]
         if rows:
             by_thing[thing] = tuple(names.texts[word] for word in rows)
     return by_thing
-
-
-def best_words(cosines: Tensor) -> Tensor:
-    """Return up to ``constants.NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
-    return less_common(cosines).topk(min(constants.NAMES, cosines.shape[1]), dim=1).indices
 
 
 def less_common(cosines: Tensor) -> Tensor:
