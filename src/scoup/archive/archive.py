@@ -221,10 +221,7 @@ class Archive:
 
         def best(scans: dict[str, Scan], wanted: Wanted) -> tuple[list[Found], int | None]:
             index = self._kept.index(scans, asked.compared, words_digest(asked.compared))
-            names = {
-                number: scan.names for number, scan in enumerate(scans.values()) if scan.names is not None
-            }
-            things = AskedThings(index, asked, names, encoder, encode)
+            things = AskedThings(index, asked, [scan.names for scan in scans.values()], encoder, encode)
             asked_scans = AskedScans(expression, things, [*scans.values()])
             answers, n_answers = self._answers(asked_scans, wanted, None if at_least else top)
             if at_least is not None:

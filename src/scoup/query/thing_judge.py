@@ -271,7 +271,7 @@ class AskedThings:
 
     index: ThingIndex
     question: Question[Any]
-    names: Mapping[int, NameTable]  # of the things of some scenes
+    names: Sequence[NameTable | None]  # of the things of each scene
     encoder: TextEncoder
     encode: Callable[[tuple[str, ...]], Tensor]  # of the encoder, with a cache
 
@@ -284,7 +284,9 @@ class AskedThings:
     def _named(self) -> list[dict[int, Named]]:
         """For each text, by scene."""
         named: dict[int, list[Named | None]] = {}
-        for scene, names in self.names.items():
+        for scene, names in enumerate(self.names):
+            if names is None:
+                continue
             near = near_names(names, self.encoder, self.question, self.encode)
             count = len(self.index.vectors[scene])
             named[scene] = find_named(names, count, replace(self.question, near=near))
