@@ -185,12 +185,7 @@ class Field:
         return self._gaussians
 
     def attach(self, gaussians: Gaussians, source: str = "the Gaussians given", known: bool = False) -> None:
-        """Use this geometry.
-
-        Args:
-            gaussians: the geometry.
-            source: its name in messages.
-            known: do not compare fingerprints.
+        """Use this geometry, which messages call ``source``; fingerprints of ``known`` ones are not compared.
 
         Raises:
             GeometryMismatchError: the field was built on other Gaussians.
