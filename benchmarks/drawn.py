@@ -11,7 +11,7 @@ from torch import Tensor
 from benchmarks.answer_scenes import AnswerScene
 from scoup import raster
 from scoup.query import Question, constants, select_by_relevancy
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.field_view import counting_gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 

@@ -11,7 +11,7 @@ from benchmarks.things import FACTS, VIEWER
 import scoup
 from cli_support import run
 from scoup.query.phrases import Phrase, parse_phrase
-from scoup.query.relation_rules import CONDITIONS, Shapes
+from scoup.query.relations import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
 
 NAMES: tuple[str, ...] = ("kettle", "laptop computer", "penguin")

@@ -38,7 +38,7 @@ from scoup.models import WordTable
 from scoup.models.image import open_image_model
 from scoup.models.plain_colors import PlainColors
 from scoup.query import LanguageField, ThingIndex, constants
-from scoup.query.thing_judge import shares_of, thing_index
+from scoup.query.thing_judge import Shares, thing_index
 from support import altered, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -235,7 +235,7 @@ def test_errors_of_duckdb_are_ours(archive: scoup.Archive) -> None:
         ("COPY (SELECT 1) TO '/nowhere/a.parquet' (FORMAT parquet)", FileNotFoundError),
     ):
         with pytest.raises(error):
-            call(connection, lambda opened, query=query: opened.execute(query).fetchall())
+            call(connection, query)
     room = Path(str(scoup.archive.__file__)).parent
     users = [path.name for path in room.glob("*.py") if "import duckdb" in path.read_text(encoding="utf-8")]
     assert users == ["database.py"]
@@ -342,8 +342,9 @@ def test_parts_and_wholes_of_what_looks_alike_are_left_out() -> None:
         shared[pair] = shared[pair[::-1]] = index.counts[pair[0]] * 0.6
         sizes = index.counts.clone()
         sizes[pair[1]] *= 10
-        pairs = shared.to_sparse()
-        shares = shares_of(pairs.indices()[0], pairs.indices()[1], pairs.values(), len(every))
+        rows, others = shared.nonzero(as_tuple=True)
+        ends = torch.nn.functional.pad(rows.bincount(minlength=len(every)).cumsum(0), (1, 0))
+        shares = Shares(ends, others.int(), shared[rows, others])
         nested = replace(index, shares=shares, counts=sizes)
         things = [found.thing for found in look_alikes(nested, vector, "", [every >= 0])]
         assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)

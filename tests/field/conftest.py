@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from field_files import parts_of, small_field
-from scoup.field.content import TENSORS
+from scoup.field.checks import TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.thing_table import NO_THING, NameTable
 from scoup.query import LanguageField

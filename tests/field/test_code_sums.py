@@ -14,6 +14,7 @@ from messages import refuses
 from raster.parity import needs_native
 from scoup.field import code_sums, relevancy
 from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
+from scoup.field.cosines import FieldCodes
 from scoup.raster import cosines_from_codes
 from scoup.scene import SparseCodes
 from support import examples, threads_of_torch, unit
@@ -61,7 +62,7 @@ def test_scores_and_norms_are_those_of_torch(codes: Coded) -> None:
     arrays = codes.indices, codes.weights
     found, expected = code_scores(*arrays, codes.scores), code_sums.plain_code_scores(*arrays, codes.scores)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
-    found = inverse_code_norms(*arrays, codes.codebook)
+    found = inverse_code_norms(*arrays, codes.grams)
     torch.testing.assert_close(found, _inverse_norms(codes), rtol=2e-3, atol=1e-6)
     assert found[~(codes.weights > 0).any(-1)].eq(0).all()
 
@@ -71,33 +72,33 @@ def test_scores_and_norms_are_those_of_torch(codes: Coded) -> None:
 @given(coded(least_columns=1), st.floats(0.1, 40))
 def test_relevancy_is_that_of_torch(codes: Coded, temperature: float) -> None:
     arrays = codes.indices, codes.weights
-    norms = inverse_code_norms(*arrays, codes.codebook)
-    best = best_code_cosines(*arrays, norms, codes.scores)
-    expected = code_sums.plain_best_code_cosines(*arrays, norms, codes.scores)
+    norms = inverse_code_norms(*arrays, codes.grams)
+    best = best_code_cosines(*arrays, codes.scores, norms)
+    expected = code_sums.plain_best_code_cosines(*arrays, codes.scores, norms)
     torch.testing.assert_close(best, expected, rtol=1e-4, atol=1e-5)
     others = codes.scores.flip(-1)[..., 1:]  # perhaps none
-    found = code_relevancy(*arrays, norms, best, others, temperature)
-    expected = code_sums.plain_code_relevancy(*arrays, norms, best, others, temperature)
-    assert found.shape == (len(codes.scores), others.shape[-1], len(codes.indices))
+    found = code_relevancy(*arrays, others, norms, best, temperature)
+    expected = code_sums.plain_code_relevancy(*arrays, others, norms, best, temperature)
+    assert found.shape == (others.shape[-1], len(codes.scores), len(codes.indices))
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5 * temperature)
     for number, own in enumerate(others.unbind(-1)):  # alone, the same to the last bit
-        alone = code_relevancy(*arrays, norms, best, own[..., None].contiguous(), temperature)
-        assert torch.equal(alone[:, 0], found[:, number])
+        alone = code_relevancy(*arrays, own[..., None].contiguous(), norms, best, temperature)
+        assert torch.equal(alone[0], found[number])
 
 
 @settings(max_examples=examples(30))
 @given(coded(least_columns=2), st.booleans())
 def test_relevancy_is_that_of_decoded_codes(codes: Coded, by_torch: bool) -> None:
     prefix, arrays = "plain_" if by_torch else "", (codes.indices, codes.weights)
-    norms = _inverse_norms(codes) if by_torch else inverse_code_norms(*arrays, codes.codebook)
+    norms = _inverse_norms(codes) if by_torch else inverse_code_norms(*arrays, codes.grams)
     canonical, queries = codes.scores[..., :1].contiguous(), codes.scores[..., 1:].contiguous()
-    best = getattr(code_sums, f"{prefix}best_code_cosines")(*arrays, norms, canonical)
-    found = getattr(code_sums, f"{prefix}code_relevancy")(*arrays, norms, best, queries, 10.0)
+    best = getattr(code_sums, f"{prefix}best_code_cosines")(*arrays, canonical, norms)
+    found = getattr(code_sums, f"{prefix}code_relevancy")(*arrays, queries, norms, best, 10.0)
     for level, atoms in enumerate(codes.codebook):
         rows = SparseCodes(codes.indices[:, level], codes.weights[:, level].float(), len(atoms)).to_dense()
         cosines = cosines_from_codes(rows.double(), atoms.double(), codes.vectors.double()).T[None]
         expected = relevancy(cosines[:, 1:], cosines[:, :1])[0]
-        torch.testing.assert_close(found[level].double(), expected, rtol=0, atol=2e-3)
+        torch.testing.assert_close(found[:, level].double(), expected, rtol=0, atol=2e-3)
 
 
 @needs_native
@@ -110,9 +111,9 @@ def test_the_same_bytes_for_any_number_of_threads(levels: int, seed: int) -> Non
     codebook, scores = (torch.randn(levels, 9, count, generator=generator) for count in (5, 3))
 
     def all_sums() -> list[Tensor]:
-        norms = inverse_code_norms(indices, weights, codebook)
-        best = best_code_cosines(indices, weights, norms, scores)
-        relevancy = code_relevancy(indices, weights, norms, best, scores, 10.0)
+        norms = FieldCodes(indices, weights, codebook).inverse_norms()
+        best = best_code_cosines(indices, weights, scores, norms)
+        relevancy = code_relevancy(indices, weights, scores, norms, best, 10.0)
         return [norms, best, relevancy, code_scores(indices, weights, scores)]
 
     found = []
@@ -137,9 +138,9 @@ def test_atoms_there_are_not_are_refused(n_atoms: int) -> None:
     weights, scores, norms = torch.ones(100, 1, 2), torch.zeros(1, n_atoms, 1), torch.ones(100, 1)
     calls = [
         lambda: code_scores(indices, weights, scores),
-        lambda: inverse_code_norms(indices, weights, torch.ones(1, n_atoms, 2)),
-        lambda: best_code_cosines(indices, weights, norms, scores),
-        lambda: code_relevancy(indices, weights, norms, norms, scores, 10.0),
+        lambda: inverse_code_norms(indices, weights, torch.ones(1, n_atoms, n_atoms)),
+        lambda: best_code_cosines(indices, weights, scores, norms),
+        lambda: code_relevancy(indices, weights, scores, norms, norms, 10.0),
     ]
     for call in calls:
         with refuses():

@@ -17,7 +17,7 @@ from field.conftest import field_with_things
 from field_files import parts_of, write_whole
 from messages import check_message
 from scoup.base import ScoupError
-from scoup.field.content import LEAST_GAUSSIANS, TENSORS
+from scoup.field.checks import LEAST_GAUSSIANS, TENSORS
 from scoup.field.facts import doubt_of, read_facts
 from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query import LanguageField

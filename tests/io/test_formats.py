@@ -19,7 +19,7 @@ from gltf_samples import check_rules
 from io_samples import angles, save_spz, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import OutputExistsError, ScoupWarning
-from scoup.field.content import TENSORS
+from scoup.field.checks import TENSORS
 from scoup.io import load_gaussians, save_gaussians, written_format
 from scoup.io.splats.activation import opacities_from_logits, scales_from_logs
 from scoup.io.splats.formats import FORMATS, format_of

@@ -19,7 +19,7 @@ from messages import refuses
 from query.conftest import ASKED, WORDS, Queried, random_vectors
 from scoup.models import TextEncoder, WordTable
 from scoup.query.answer import Answer, RunnerUp, answer_relevancy
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import select_each

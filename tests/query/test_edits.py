@@ -11,7 +11,7 @@ from messages import refuses
 from query.conftest import Queried
 from scoup.io import PlyTable, save_gaussians
 from scoup.query.answer import answer_relevancy
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.drawings import moving_cameras
 from scoup.query.edits import SceneEdit, SplatTable, best_camera, edited
 from scoup.query.expression import parse_expression

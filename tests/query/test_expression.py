@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages import refuses
-from scoup.query.expression import Expression, parse_expression
+from scoup.query.expression import Expression, Node, Operation, parse_expression
 from scoup.query.phrases import ORDINALS, RELATIONS, SIDES, SIZES, Phrase, parse_phrase
 
 NAMES = ("mug", "wooden table", "cup")
@@ -99,13 +99,18 @@ def literal(node, inside) -> bool:
 
 def truth(expression: Expression, leaves: Sequence[str]) -> torch.Tensor:
     """An expression of all combinations of its leaves, each there or not."""
-
-    def joined(operator: str, one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-        return one & other if operator == "and" else one | other
-
     rows = torch.tensor(list(product([False, True], repeat=len(leaves))))
     masks = dict(zip(leaves, rows.T, strict=True))
-    return expression.fold(lambda leaf: masks[str(leaf)], torch.logical_not, joined)
+
+    def value(node: Node) -> torch.Tensor:
+        if not isinstance(node, Operation):
+            return masks[str(node)]
+        parts = torch.stack([value(part) for part in node.parts])
+        return (
+            ~parts[0] if node.operator == "not" else parts.all(0) if node.operator == "and" else parts.any(0)
+        )
+
+    return value(expression.root)
 
 
 @given(nodes)

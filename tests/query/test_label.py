@@ -26,7 +26,7 @@ from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.boxes import PointSets
 from scoup.query.labels import (
     AT_A_TIME,

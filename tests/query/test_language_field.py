@@ -23,7 +23,7 @@ from scoup.base import InputError, MissingFileError, UnknownNameError
 from scoup.field import Field
 from scoup.models import CANONICAL_PHRASES, TextEncoder, WordTable
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
 from scoup.scene import Detections

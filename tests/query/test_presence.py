@@ -21,7 +21,7 @@ from query.planted_room import Box, planted_room
 from scoup.base import ScoupWarning, UnknownNameError
 from scoup.models import CANONICAL_PHRASES, LEAST_WORDS, TextEncoder, WordTable, with_everyday
 from scoup.query import constants
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.presence import TextScore, other_words, presence_threshold, said_score
 from scoup.query.question import Question, TextVectors, check_encoder, encode_texts

@@ -19,8 +19,7 @@ from scoup.query.ask import apart
 from scoup.query.language_field import LanguageField
 from scoup.query.phrases import explained, parse_phrase
 from scoup.query.question import literal
-from scoup.query.relation_rules import CONDITIONS, Shapes, touching_things
-from scoup.query.relations import resolve
+from scoup.query.relations import CONDITIONS, Shapes, resolve, touching_things
 from support import examples
 
 TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN = range(9)

@@ -112,7 +112,7 @@ def test_a_thing_around_a_camera_has_no_picture_and_ends_nothing(room) -> None:
     mug, *others = room.things()[1:4]
     camera = Camera.look_at(mug.position, mug.position + torch.eye(3)[1], "inside", 64, 48, 50)
     assert viewing_cameras(mug, [camera]) == []
-    drawn = [thing.number for thing, _ in draw_things(room, [mug, *others], [camera])]
+    drawn = [thing.number for thing, *_ in draw_things(room, [mug, *others], [camera])]
     assert others[0].number in drawn
     assert mug.number not in drawn
 

@@ -18,7 +18,7 @@ from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.field import NO_THING, ThingTable
 from scoup.query import constants, matching
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
 from scoup.query.thing_judge import ThingIndex, thing_index

@@ -36,7 +36,7 @@ from PIL import Image
 from scipy.ndimage import binary_dilation
 
 from scoup import raster
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.view.viewed_field import ViewedField
 from support import altered
 

@@ -29,7 +29,7 @@ from scoup.field.thing_table import TENSORS
 from scoup.io.word_list import read_words
 from scoup.models import TextEncoder
 from scoup.query import Answer, LanguageField, level_thresholds
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_data import NO_OWNER
 from scoup.view.scene_tools import SceneTools

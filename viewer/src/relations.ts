@@ -1,4 +1,4 @@
-// Which things a phrase or expression singles out, as src/scoup/query/ask.py, relations.py and relation_rules.py decide it.
+// Which things a phrase or expression singles out, as src/scoup/query/ask.py and relations.py decide it.
 import { leavesOf, textsOf, type Node, type Phrase, type Target } from "./phrases";
 import type { Tensor, TensorData } from "./safetensors";
 import { NO_OWNER } from "./scene_data";

@@ -31,9 +31,9 @@ from scoup.archive.search import (
     AskedScans,
     Encode,
     Found,
-    Search,
     UnaskedScanError,
     look_alikes,
+    parse_search,
     words_digest,
 )
 from scoup.base import (
@@ -51,7 +51,7 @@ from scoup.base import (
 from scoup.field import place_of, relative_place
 from scoup.io import open_image, rgb_image
 from scoup.models import Encoder, TextEncoder
-from scoup.query import LanguageField, Thing, ThingIndex, warn_of_another_model
+from scoup.query import AskedThings, LanguageField, Thing, ThingIndex, warn_of_another_model
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -216,12 +216,14 @@ class Archive:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
         with self._asking:
             encoder = self.text_encoder()
-            search = Search.of(question, encoder, self._encode(encoder), present_from)
+            encode = self._encode(encoder)
+            expression, asked = parse_search(question, encoder, present_from)
 
         def best(scans: dict[str, Scan], wanted: Wanted) -> tuple[list[Found], int | None]:
-            index = self._kept.index(scans, search.words, search.digest)
-            asked = AskedScans(search, [*scans.values()], index)
-            answers, n_answers = self._answers(asked, wanted, None if at_least else top)
+            index = self._kept.index(scans, asked.compared, words_digest(asked.compared))
+            things = AskedThings(index, asked, [scan.names for scan in scans.values()], encoder, encode)
+            asked_scans = AskedScans(expression, things, [*scans.values()])
+            answers, n_answers = self._answers(asked_scans, wanted, None if at_least else top)
             if at_least is not None:
                 of_scan = [[*group] for _, group in groupby(answers, lambda answer: answer.scene)]
                 of_scan.sort(key=len, reverse=True)

@@ -9,17 +9,15 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from scoup.base import InputError, ScoupError
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
-
-Result = TypeVar("Result")
 
 WHERE_SECONDS = 30.0
 """For a condition."""
@@ -79,8 +77,8 @@ def patterns(paths: Iterable[Path]) -> list[str]:
     return [glob.escape(str(path)) for path in paths]
 
 
-def call(connection: DuckDBPyConnection, work: Callable[[DuckDBPyConnection], Result]) -> Result:
-    """Return ``work(connection)``.
+def call(connection: DuckDBPyConnection, query: str, values: object = None) -> list[Any]:
+    """Return the rows of a query with values for its parameters.
 
     It runs in a thread: DuckDB looks for signals rarely, and turns KeyboardInterrupt into errors of its own.
 
@@ -92,7 +90,7 @@ def call(connection: DuckDBPyConnection, work: Callable[[DuckDBPyConnection], Re
     import duckdb
 
     with ThreadPoolExecutor(1) as pool:
-        future = pool.submit(work, connection)
+        future = pool.submit(lambda: connection.execute(query, values).fetchall())
         try:
             return future.result()
         except KeyboardInterrupt:

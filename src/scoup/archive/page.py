@@ -27,14 +27,10 @@ _FOUND = """{% extends "page" %}{% macro cards(found) %}<ul>
 
 
 def results_page(title: str, results: Sequence[FoundThing], path: Path) -> str:
-    """Return a page of things, with pictures where their fields are there and have cameras.
+    """Return a page, to be written to ``path``, of things with pictures where their fields are there and have cameras.
+    Each links to its scan's page, if `scoup view` has exported one beside the field.
 
     Pictures are drawn now, for these things only: drawing all would slow adding scans, and most are never shown.
-
-    Args:
-        title: above them.
-        results: each links to its scan's page, if `scoup view` has exported one beside the field.
-        path: of the page, for links.
     """
     pictures = {
         (scan, number): picture
@@ -61,7 +57,7 @@ def _pictures(results: Sequence[FoundThing]) -> Iterator[tuple[int, Picture]]:
         ]
         if len(things) < len(results):
             warnings.warn(f"{field.path}: has changed; add it again", ScoupWarning, stacklevel=3)
-        for thing, picture in draw_things(field, things, list(field.cameras or ())):
+        for thing, picture, *_ in draw_things(field, things, list(field.cameras or ())):
             yield thing.number or 0, picture
     except ScoupError as error:
         warnings.warn(f"no pictures of the scan {results[0].scan}: {error}", ScoupWarning, stacklevel=3)

@@ -160,7 +160,7 @@ def read_places(
             "files": patterns({scan.file for scan, _ in wanted}),
             "things": list({thing for _, thing in wanted}),
         }
-        rows = call(connection, lambda opened: opened.execute(query, asked).fetchall())
+        rows = call(connection, query, asked)
         places = {(file, thing): values for file, thing, *values in rows}
         located = []
         for scan, thing in wanted:
@@ -173,12 +173,8 @@ def read_places(
 
 
 def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
-    """Write the file of a scan, in place of the one that is there; another writer of the file is waited for.
-
-    Args:
-        scan: all of it.
-        table: its T things.
-        things: those that have a position.
+    """Write the file of a scan, of its table and of those things that have a position, in place of the one that is
+    there; another writer of the file is waited for.
 
     Raises:
         InputError: a column of the user's has no usable name.
@@ -215,7 +211,8 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
     with atomic_path(scan.file, overwrite=True, wait=True) as temporary:
         file = f"COPY things TO {quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
         try:
-            call(connection, lambda opened: opened.execute(table_of, given_values).execute(file))
+            call(connection, table_of, given_values)
+            call(connection, file)
         except OSError as error:
             raise WriteError.of(temporary, error) from error
 

@@ -67,7 +67,7 @@ def list_scans(folder: Path) -> list[ListedScan]:
             " FROM read_parquet($files, filename := true) GROUP BY filename"
         )
         asked = {"files": patterns(files), "least": LEAST_GAUSSIANS}
-        counts = dict(call(connection, lambda opened: opened.execute(query, asked).fetchall()))
+        counts = dict(call(connection, query, asked))
         return [
             ListedScan(file.stem, counts[str(file)], place_of(file, str(header["field"])) or file, columns)
             for file, header in zip(files, headers(files, connection), strict=True)
@@ -100,7 +100,7 @@ def headers(files: Sequence[Path], connection: DuckDBPyConnection) -> list[Mappi
     """Return the metadata of scans, from files that have them."""
     query = "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'"
     asked = {"files": patterns(files)}
-    texts = dict(call(connection, lambda opened: opened.execute(query, asked).fetchall()))
+    texts = dict(call(connection, query, asked))
     return [_checked(file, json.loads(texts.get(str(file), b"{}"))) for file in files]
 
 

@@ -51,46 +51,26 @@ class UnaskedScanError(InputError):
     """A scan whose field cannot be asked."""
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """A text or phrase for every scan."""
-
-    expression: Expression
-    question: Question[Any]  # of its texts
-    encoder: TextEncoder
-    encode: Encode  # of the encoder, with a cache
-    words: Tensor  # [B, D], what things are compared with
-    digest: str  # of the words
-
-    @classmethod
-    def of(cls, text: str, encoder: TextEncoder, encode: Encode, present_from: float | None) -> Search:
-        """Parse and encode a text; errors are those of ``LanguageField.things``."""
-        expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
-        if any(not phrase.text for phrase in expression.phrases) or not expression.leaves(True):
-            raise InputError(
-                f"{text}: does not name what is looked for; ask a single field for everything there"
-            )
-        question = Question.encoded(encoder, expression.texts, source, present_from)
-        words = question.compared
-        return cls(expression, question, encoder, encode, words, words_digest(words))
+def parse_search(
+    text: str, encoder: TextEncoder, present_from: float | None
+) -> tuple[Expression, Question[Any]]:
+    """Parse and encode a text; errors are those of ``LanguageField.things``."""
+    expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
+    if any(not phrase.text for phrase in expression.phrases) or not expression.leaves(True):
+        raise InputError(f"{text}: does not name what is looked for; ask a single field for everything there")
+    return expression, Question.encoded(encoder, expression.texts, source, present_from)
 
 
 @dataclass(frozen=True, eq=False)
 class AskedScans:
-    """A search in S scans."""
+    """A text or phrase, asked of S scans."""
 
-    search: Search
+    expression: Expression
+    asked: AskedThings  # the texts of the expression
     scans: Sequence[Scan]
-    index: ThingIndex
-
-    @cached_property
-    def _asked(self) -> AskedThings:
-        search = self.search
-        names = {scene: scan.names for scene, scan in enumerate(self.scans) if scan.names is not None}
-        return AskedThings(self.index, search.question, names, search.encoder, search.encode)
 
     def _of_text(self, values: Tensor, text: str) -> Tensor:
-        return values[:, self.search.question.texts.index(text)]
+        return values[:, self.asked.question.texts.index(text)]
 
     def batches(self) -> Iterator[tuple[float, Callable[[], list[Found]]]]:
         """Yield functions that return the things that answer in some scans, each once and with the text it answers, and
@@ -99,7 +79,7 @@ class AskedScans:
         All scans are one batch, or each is one where its field has to be asked: then the function may raise an
         UnaskedScanError, as the field is gone or has changed.
         """
-        expression, verdicts = self.search.expression, self._asked.verdicts
+        expression, verdicts = self.expression, self.asked.verdicts
         targets = expression.leaves(True)
         if expression.is_plain:
             yield math.inf, lambda: self.ranked_things(
@@ -121,15 +101,15 @@ class AskedScans:
         first = {(scene, thing): text for scene, thing, text in reversed(answers)}
         ranked: dict[tuple[int, int], Found] = {}
         for text in dict.fromkeys(first.values()):
-            word = self.search.question.words[self.search.question.texts.index(text)]
+            word = self.asked.question.words[self.asked.question.texts.index(text)]
             keys = [key for key, own_text in first.items() if own_text == text]
-            rows = [self.index.starts[scene] + thing for scene, thing in keys]
-            fits = self._of_text(self._asked.fits, text)[rows].tolist()
-            scores = self._asked.scores[text].each(fits, *zip(*keys, strict=True))
+            rows = [self.asked.index.starts[scene] + thing for scene, thing in keys]
+            fits = self._of_text(self.asked.fits, text)[rows].tolist()
+            scores = self.asked.scores[text].each(fits, *zip(*keys, strict=True))
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for key, score, rank in zip(keys, scores, ranks, strict=True):
-                verdict = self._asked.verdicts[text][key[0]]
-                is_first = self.search.expression.is_plain and verdict.things[:1] == key[1:]
+                verdict = self.asked.verdicts[text][key[0]]
+                is_first = self.expression.is_plain and verdict.things[:1] == key[1:]
                 rival = verdict.runner_up.thing if is_first and verdict.runner_up else None
                 ranked[key] = Found(*key, word, score, rank, verdict.certainty, rival)
         every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
@@ -137,37 +117,36 @@ class AskedScans:
 
     @cached_property
     def _leads(self) -> Tensor:
-        return self.index.leads(self._asked.fits)
+        return self.asked.index.leads(self.asked.fits)
 
     def _best_ranks(self, text: str) -> list[float]:
         """Return an upper bound of the ranks of the things of each scan, for a text."""
-        usable = self.index.usable
+        usable = self.asked.index.usable
         fits, leads = (
             np.maximum.reduceat(
-                torch.where(usable, self._of_text(values, text), -torch.inf).numpy(), self.index.starts[:-1]
+                torch.where(usable, self._of_text(values, text), -torch.inf).numpy(),
+                self.asked.index.starts[:-1],
             )
-            for values in (self._asked.fits, self._leads)
+            for values in (self.asked.fits, self._leads)
         )
-        return rank_of(
-            self._asked.scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads)
-        )
+        return rank_of(self.asked.scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads))
 
     def _of_field(self, scene: int) -> list[tuple[int, int, str]]:
         """Ask the field itself for the things that answer phrases, which need shapes to be compared."""
-        scan, search = self.scans[scene], self.search
+        scan, asked = self.scans[scene], self.asked
         try:
             field = LanguageField.load(scan.field_path)
             if field.thing_table is None or not _is_same(
-                field.thing_table, self.index.vectors[scene], scan.names
+                field.thing_table, self.asked.index.vectors[scene], scan.names
             ):
                 problem = f"the field of scan {scan.name} has changed: {scan.field_path}"
                 raise UnaskedScanError(f"{problem}; add it again")
-            things = asked_things(field, search.encoder, search.expression, search.question.present_from)
+            things = asked_things(field, asked.encoder, self.expression, asked.question.present_from)
         except MissingFileError as error:
             missing = "field" if error.path == scan.field_path else "splat"
             problem = f"the {missing} of scan {scan.name} is gone: {error.path}"
             raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
-        texts = dict(zip(search.question.words, search.question.texts, strict=True))
+        texts = dict(zip(asked.question.words, asked.question.texts, strict=True))
         return [(scene, thing.number, texts[thing.text]) for thing in things if thing.number is not None]
 
 

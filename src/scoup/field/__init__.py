@@ -13,7 +13,7 @@ _HOMES = {
     "Cache": "scoup.field.cache",
     "Field": "scoup.field.field",
     "FieldInfo": "scoup.field.field_info",
-    "LEAST_GAUSSIANS": "scoup.field.content",
+    "LEAST_GAUSSIANS": "scoup.field.checks",
     "MOST_THINGS": "scoup.field.checks",
     "NO_THING": "scoup.field.thing_table",
     "NameTable": "scoup.field.thing_table",
@@ -31,11 +31,11 @@ __all__ = [*_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
     from scoup.field.cache import Cache as Cache
+    from scoup.field.checks import LEAST_GAUSSIANS as LEAST_GAUSSIANS
     from scoup.field.checks import MOST_THINGS as MOST_THINGS
     from scoup.field.container import place_of as place_of
     from scoup.field.container import relative_place as relative_place
     from scoup.field.container import write_world as write_world
-    from scoup.field.content import LEAST_GAUSSIANS as LEAST_GAUSSIANS
     from scoup.field.cosines import relevancy as relevancy
     from scoup.field.facts import doubt_of as doubt_of
     from scoup.field.facts import part_sizes as part_sizes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,10 +123,8 @@ def _things(tensors: dict[str, Tensor], names: list[str] | None) -> ThingTable |
     for name in ("owners", "parents"):
         numbers = parts[name].int()
         parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
-    table = ThingTable(**parts, names=None)
-    if names is None:
-        return table
-    return replace(table, names=NameTable(tuple(names), *(tensors[f"names.{name}"] for name in _NAMES)))
+    named = None if names is None else NameTable(tuple(names), *(tensors[f"names.{part}"] for part in _NAMES))
+    return ThingTable(**parts, names=named)
 
 
 def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:

@@ -34,7 +34,7 @@ class Cache:
     def __init__(self, most_bytes: int) -> None:
         self.most_bytes = most_bytes
         self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._bytes = 0
+        self.bytes = 0  # of all values together
         self._parts: State = ()
         self._lock = threading.Lock()
 
@@ -43,11 +43,6 @@ class Cache:
 
     def __len__(self) -> int:
         return len(self._values)
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of all values together."""
-        return self._bytes
 
     def value(self, key: Hashable, make: Callable[[], Value], parts: Parts = ()) -> Value:
         """Return the value of a key; ``make`` it from the parts if it is missing."""
@@ -75,13 +70,13 @@ class Cache:
             self._check(parts)
             if not _same(since, self._parts):
                 return
-            self._bytes -= self._values.pop(key, (None, 0))[1]
+            self.bytes -= self._values.pop(key, (None, 0))[1]
             if n_bytes > self.most_bytes:
                 return
             self._values[key] = value, n_bytes
-            self._bytes += n_bytes
-            while self._bytes > self.most_bytes:
-                self._bytes -= self._values.popitem(last=False)[1][1]
+            self.bytes += n_bytes
+            while self.bytes > self.most_bytes:
+                self.bytes -= self._values.popitem(last=False)[1][1]
 
     def clear(self) -> None:
         """Remove all values."""
@@ -90,7 +85,7 @@ class Cache:
 
     def _empty(self) -> None:
         self._values.clear()
-        self._bytes = 0
+        self.bytes = 0
 
     def _check(self, parts: Parts) -> None:
         state = state_of(parts)

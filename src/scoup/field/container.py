@@ -21,7 +21,7 @@ from scoup.base import (
     check_format_version,
     invalid_contents,
 )
-from scoup.field.content import check_content
+from scoup.field.checks import check_content
 
 SCHEMA = "scoup.language_field"
 VERSION = 1

@@ -30,19 +30,14 @@ GAUSSIANS_AT_A_TIME = 65536
 
 
 def relevancy(
-    cosines: Tensor,  # [S, Q, ...]
-    canonical: Tensor,  # [S, P, ...]
+    cosines: Tensor,  # [S, Q, ...] of queries, per level; of pixels or Gaussians
+    canonical: Tensor,  # [S, P, ...] of canonical phrases, one at least
     temperature: float = TEMPERATURE,
 ) -> Tensor:
     """Return the advantage of a query over the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
 
-    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)). Where
-    nothing is rendered, all cosines are 0 and relevancy is 0.5.
-
-    Args:
-        cosines: of Q queries, per level; the trailing shape is free (pixels, Gaussians).
-        canonical: of P >= 1 canonical phrases.
-        temperature: a.
+    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)) with the
+    temperature a. Where nothing is rendered, all cosines are 0 and relevancy is 0.5.
     """
     if cosines.dim() < 2 or cosines.dim() != canonical.dim():
         raise InputError(
@@ -68,7 +63,8 @@ class FieldCodes:
 
     def inverse_norms(self) -> Tensor:
         """Return 1 / sqrt(W G W^T), [N, S] float32; 0 without a code."""
-        return inverse_code_norms(self.indices, self.weights, self.codebook)
+        grams = torch.stack([atom_products(atoms, atoms) for atoms in self.codebook.float()])
+        return inverse_code_norms(self.indices, self.weights, grams)
 
     def coded(self) -> Tensor:
         """Return the mask of Gaussians with a code at each level, boolean [S, N]."""
@@ -83,7 +79,7 @@ class FieldCodes:
 
     def cosines(self, canonical: Tensor, inverse_norms: Tensor) -> GaussianCosines:
         """Compare the codes, whose norms are known, with canonical phrases [P, D]."""
-        best = best_code_cosines(self.indices, self.weights, inverse_norms, self.atom_scores(canonical))
+        best = best_code_cosines(self.indices, self.weights, self.atom_scores(canonical), inverse_norms)
         return GaussianCosines(self, inverse_norms, best)
 
     def features(self, level: int) -> Tensor:
@@ -125,9 +121,8 @@ class GaussianCosines:
         codes = self.codes
         # Query by query, so that other queries do not change the last bit.
         scores = [codes.atom_scores(query[None]) for query in queries] or [codes.atom_scores(queries)]
-        return code_relevancy(
-            codes.indices, codes.weights, self.inverse_norms, self.best, torch.cat(scores, 2), TEMPERATURE
-        )
+        parts = codes.indices, codes.weights, torch.cat(scores, 2), self.inverse_norms, self.best
+        return code_relevancy(*parts, TEMPERATURE).transpose(0, 1)  # what belongs to one query is contiguous
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +132,6 @@ class PixelCosines:
     inverse_norms: Tensor  # [H, W, S], 0 without a code
     canonical: Tensor  # [P, D], the phrases of the last query
     best: Tensor  # [H, W, S], their largest cosine
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all tensors."""
-        return self.inverse_norms.nbytes + self.canonical.nbytes + self.best.nbytes
 
 
 def pixel_relevancy(

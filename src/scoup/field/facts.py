@@ -4,51 +4,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.field.checks import weight_bits
+from scoup.field.checks import LEAST_GAUSSIANS, weight_bits
 from scoup.field.container import place_of, read_content
-from scoup.field.content import LEAST_GAUSSIANS
 
 DOUBTFUL_SHARE = 0.4
 """A thing with this share of its level's Gaussians makes answers doubtful. Of nineteen fields, no other figure orders
 settings as well by their mIoU (docs/answers.md#where-a-field-is-unsure)."""
 
 
-@dataclass(frozen=True)
-class PartSizes:
-    """Bytes of the parts of a language field's file."""
-
-    gaussians: int  # how many there are
-    codes: int  # of all Gaussians at all levels
-    codebook: int  # of all levels
-    owners: int  # of the numbers that say to which things the Gaussians belong; 0 for none
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> PartSizes:
-        """Return the sizes of the tensors of a file."""
-        codes = arrays["code_indices"].nbytes + arrays["code_weights"].nbytes
-        owners = arrays["things.owners"].nbytes if "things.owners" in arrays else 0
-        return cls(len(arrays["code_indices"]), codes, arrays["codebook"].nbytes, owners)
-
-    @property
-    def codes_a_gaussian(self) -> float:
-        return self.codes / max(1, self.gaussians)
-
-    def __str__(self) -> str:
-        owners = f" and {self.owners / max(1, self.gaussians):.0f} of things" if self.owners else ""
-        codebook = f"a codebook of {self.codebook / 1e3:,.0f} kB"
-        return f"{self.codes_a_gaussian:.0f} bytes of codes{owners} a Gaussian, {codebook}"
-
-
-def part_sizes(path: Path) -> PartSizes:
-    """Return the sizes of the parts of a ``.scoup`` file."""
-    return PartSizes.of(read_content(path)[1])
+def part_sizes(path: Path) -> str:
+    """Return the sizes of the parts of a ``.scoup`` file in words, for people."""
+    arrays = read_content(path)[1]
+    count = max(1, len(arrays["code_indices"]))
+    owners = (
+        f" and {arrays['things.owners'].nbytes / count:.0f} of things" if "things.owners" in arrays else ""
+    )
+    codebook = f"a codebook of {arrays['codebook'].nbytes / 1e3:,.0f} kB"
+    return f"{_bytes_of_codes(arrays):.0f} bytes of codes{owners} a Gaussian, {codebook}"
 
 
 def read_facts(path: Path) -> dict[str, Any]:
@@ -57,7 +35,6 @@ def read_facts(path: Path) -> dict[str, Any]:
     geometry = header["geometry"]
     count, _, k = arrays["code_indices"].shape
     _, atoms, dim = arrays["codebook"].shape
-    sizes = PartSizes.of(arrays)
     return {
         "gaussians": count,
         "coded": int(np.count_nonzero(weight_bits(arrays["code_weights"]).reshape(count, -1).any(1))),
@@ -69,8 +46,8 @@ def read_facts(path: Path) -> dict[str, Any]:
         "words": _where(place_of(path, header["words"])),
         "raster_preset": header["raster_preset"],
         "bytes": path.stat().st_size,
-        "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
-        "bytes_of_codebook": sizes.codebook,
+        "bytes_of_codes_a_gaussian": round(_bytes_of_codes(arrays), 1),
+        "bytes_of_codebook": arrays["codebook"].nbytes,
         "cameras": len(header["cameras"] or ()),
         **_facts_of_things(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
@@ -78,6 +55,12 @@ def read_facts(path: Path) -> dict[str, Any]:
         **({"frame": header["frame"]} if "frame" in header else {}),
         "provenance": header["provenance"],
     }
+
+
+def _bytes_of_codes(arrays: Mapping[str, NDArray[Any]]) -> float:
+    """Return the bytes of codes per Gaussian, of all levels."""
+    indices, weights = arrays["code_indices"], arrays["code_weights"]
+    return (indices.nbytes + weights.nbytes) / max(1, len(indices))
 
 
 def _facts_of_things(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
@@ -92,12 +75,8 @@ def _facts_of_things(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def doubt_of(owners: NDArray[Any], levels: NDArray[Any]) -> str:
-    """Return what makes the answers of things doubtful, as a sentence without its end; "" if nothing does.
-
-    Args:
-        owners: [N, S] the thing of each Gaussian at each level.
-        levels: [T] the level of each thing.
-    """
+    """Return what makes the answers of things with owners [N, S] and levels [T] doubtful, as a sentence without its
+    end; "" if nothing does."""
     return _doubt(_largest_share(owners, levels))
 
 

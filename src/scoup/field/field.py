@@ -185,12 +185,7 @@ class Field:
         return self._gaussians
 
     def attach(self, gaussians: Gaussians, source: str = "the Gaussians given", known: bool = False) -> None:
-        """Use this geometry.
-
-        Args:
-            gaussians: the geometry.
-            source: its name in messages.
-            known: do not compare fingerprints.
+        """Use this geometry, which messages call ``source``; fingerprints of ``known`` ones are not compared.
 
         Raises:
             GeometryMismatchError: the field was built on other Gaussians.
@@ -452,16 +447,7 @@ class Field:
 
     @classmethod
     def load(cls: type[Own], path: str | Path, gaussians: Gaussians | None = None) -> Own:
-        """Read a ``.scoup`` file.
-
-        Args:
-            path: the file.
-            gaussians: its geometry; by default the one embedded or referenced, loaded when first needed.
-
-        Raises:
-            FileFormatError: the file is not a language field, or damaged.
-            GeometryMismatchError: ``gaussians`` are not those it was built on.
-        """
+        """Read a ``.scoup`` file; ``LanguageField.load`` documents it."""
         return cls._loaded(path, gaussians)
 
     @classmethod

@@ -123,8 +123,7 @@ class AnswerFiles:
             write_npz(folder / NPZ, answer_arrays(answers), compressed=True)
         if self._coco is not None:
             masks = [answer.mask.numpy() for answer in answers]
-            size = (camera.width, camera.height)
-            self._coco.add(camera.name, size, masks, [answer.score or 0.0 for answer in answers])
+            self._coco.add(camera.name, masks, [answer.score or 0.0 for answer in answers])
 
     def add_videos(
         self, field: Field, places: Sequence[Place], cameras: Cameras, hidden: Path, progress: Progress
@@ -201,13 +200,10 @@ class AnswerSheets:
 
     Of more views than ``MOST_VIEWS`` only the best are kept: the texts choose in turn, each the view in which its
     mask is largest among those not yet chosen.
-
-    Args:
-        texts: of the query, one or more.
-        views: number of views that will be added, one or more.
     """
 
     def __init__(self, texts: Sequence[str], views: int) -> None:
+        """Make sheets of one or more texts in so many views, of which each will be added."""
         self.texts, self.views = tuple(texts), views
         several = len(texts) > 1
         columns = -(-len(texts) // len(self)) if several else min(views, VIEWS_BESIDE)

@@ -7,7 +7,7 @@ a thing answers where more than half of its Gaussians do.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
@@ -18,14 +18,60 @@ from torch import Tensor
 from scoup.field import Field
 from scoup.models import TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
-from scoup.query.answer_scene import each_answer
-from scoup.query.expression import Expression, Operation
+from scoup.query.expression import Expression, Node, Operation
 from scoup.query.frame import scene_frame
+from scoup.query.named import named_texts
 from scoup.query.phrases import Phrase, texts_of
+from scoup.query.presence import is_present, text_scores
 from scoup.query.question import Question, make_question
 from scoup.query.relations import overlaps, resolve
+from scoup.query.thing_judge import thing_index
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, best_part, things_of_answer
+from scoup.query.votes import SampledVotes, select_each
+
+
+def each_answer(field: Field, question: Question[Any]) -> Iterator[Answer]:
+    """Yield the answer of the scene to each text; every way to ask calls this.
+
+    Things answer where the field has them. The votes of the Gaussians answer in other fields, and where the question
+    has a threshold for them.
+
+    Raises:
+        InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
+    """
+    table, index = field.thing_table, thing_index(field, question) if question.threshold is None else None
+    if table is None or index is None:
+        yield from _by_votes(field, question)
+        return
+    for number, (verdict,) in enumerate(index.judge(question, named_texts(table, question))):
+        things = verdict.things if verdict.presence else ()
+        yield Answer(
+            text=question.texts[number],
+            mask=table.members(torch.tensor(things, dtype=torch.int64)).cpu(),
+            level=field.levels[verdict.level],
+            score=verdict.score,
+            asked=question.vectors_of(number, verdict.level),
+            presence=verdict.presence,
+            things=things,
+            scores=verdict.scores if verdict.presence else (),
+            runner_up=verdict.runner_up,
+        )
+
+
+def _by_votes(field: Field, question: Question[Any]) -> Iterator[Answer]:
+    scores: list[float | None] = [None] * len(question.texts)
+    if question.can_judge_presence:
+        words = (vectors.cpu().numpy().tobytes() for vectors in (question.everyday, question.canonical))
+        votes = field.kept((SampledVotes, *words), lambda: SampledVotes(field, question))
+        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits[None])
+        scores = [score(fit) for score, fit in zip(of_texts, fits, strict=True)]
+    for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
+        text, level, mask = question.texts[number], field.levels[selection.level], selection.mask.cpu()
+        presence = is_present(score, int(mask.sum()), question.present_from)
+        asked = question.vectors_of(number, selection.level)
+        mask = mask if presence else torch.zeros_like(mask)
+        yield Answer(text, mask, level, score, asked, presence, threshold=selection.threshold)
 
 
 def answers_of(field: Field, question: Question[Any], keep: bool = True) -> list[Answer]:
@@ -68,16 +114,21 @@ class _Selected:
     things: tuple[Thing, ...] = ()  # that may answer
     excluded: tuple[Thing, ...] = ()  # under "not"
 
-    def negated(self) -> _Selected:
-        return _Selected(~self.mask, self.excluded, self.things)
-
     @staticmethod
-    def joined(operator: str, one: _Selected, other: _Selected) -> _Selected:
-        return _Selected(
-            one.mask & other.mask if operator == "and" else one.mask | other.mask,
-            one.things + other.things,
-            one.excluded + other.excluded,
-        )
+    def of(node: Node, of_leaf: Callable[[str | Phrase], _Selected]) -> _Selected:
+        """Return the selection of a node from those of its leaves."""
+        if not isinstance(node, Operation):
+            return of_leaf(node)
+        first, *others = (_Selected.of(part, of_leaf) for part in node.parts)
+        if node.operator == "not":
+            return _Selected(~first.mask, first.excluded, first.things)
+        for other in others:
+            first = _Selected(
+                first.mask & other.mask if node.operator == "and" else first.mask | other.mask,
+                first.things + other.things,
+                first.excluded + other.excluded,
+            )
+        return first
 
 
 def evaluated(
@@ -102,7 +153,7 @@ def evaluated(
         mask = answers[leaf].mask if isinstance(leaf, str) else _union(things, len(field))
         return _Selected(mask, tuple(things))
 
-    selected = tree.fold(of_leaf, _Selected.negated, _Selected.joined)
+    selected = _Selected.of(tree.root, of_leaf)
     mask, matches = selected.mask, [] if isinstance(tree.root, Operation) else list(selected.things)
     if by_things:
         candidates = _once(selected.things if wanted else of_texts[""])

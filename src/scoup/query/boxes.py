@@ -187,15 +187,10 @@ def _upright(turns: Array, level: Array) -> Array:
 def _quantiles(
     values: Array, weights: Array, firsts: NDArray[np.int64], rows: NDArray[np.int64], shares: Sequence[float]
 ) -> Array:
-    """[T, Q] values below which shares of the weight of each row lie, of values [M], row by row.
+    """[T, Q] values below which Q shares of the weight of each row lie. Values [M] are in order of their ``rows`` [M],
+    which begin at ``firsts`` [T]; none is empty.
 
     Only values of the bin in which a quantile lies are sorted.
-
-    Args:
-        values, weights: [M].
-        firsts: [T] where each row starts; none is empty.
-        rows: [M] of each value.
-        shares: Q of them.
     """
     low, high = np.minimum.reduceat(values, firsts), np.maximum.reduceat(values, firsts)
     span = np.where(high > low, high - low, 1.0)

@@ -24,6 +24,7 @@ from scoup.query.question import Question
 from scoup.query.relations import overlaps, related_pairs, relations
 from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
+from scoup.query.view_answer import mask_box
 from scoup.scene import Camera
 
 SCHEMA = "scoup scene graph"
@@ -120,16 +121,8 @@ def save_catalog(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> list[str]:
-    """Write the files of a catalogue into a folder; return their names, with those of pictures if there are cameras.
-
-    Args:
-        field: of the catalogue.
-        catalog: from ``field.catalog``.
-        folder: made if it is missing.
-        cameras: each thing is drawn in the one that sees it largest, if any sees it.
-        overwrite: replace existing files.
-        progress: called for the stage "pictures".
-    """
+    """Write the files of a field's catalogue into a folder, made if it is missing; return their names, with those of
+    pictures (``draw_things``) if there are cameras."""
     pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
     files = [GRAPH, TABLE, PAGE, *pictures]
     with staged(folder, files, overwrite) as hidden:
@@ -143,7 +136,7 @@ def save_catalog(
         if cameras:
             (hidden / PICTURES).mkdir()
             progress("pictures", 0, len(catalog.things))
-        for thing, picture in draw_things(field, catalog.things, cameras):
+        for thing, picture, *_ in draw_things(field, catalog.things, cameras):
             Image.fromarray(picture).save(hidden / _picture_name(thing), quality=85)
             drawn.add(thing.number)
             progress("pictures", len(drawn), len(catalog.things))
@@ -165,9 +158,9 @@ def _picture_name(thing: Thing) -> str:
 
 def draw_things(
     field: Field, things: Sequence[Thing], cameras: Sequence[Camera]
-) -> Iterator[tuple[Thing, Picture]]:
-    """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
-    own."""
+) -> Iterator[tuple[Thing, Picture, Camera, tuple[slice, slice]]]:
+    """Yield each thing that can be seen, with its picture, and the camera and the window of its view that this shows:
+    the camera that sees it largest, else one of its own."""
     seen = [(thing, viewing_cameras(thing, cameras)) for thing in things if cameras]
     seen.sort(key=lambda pair: pair[1][0].name if pair[1] else "")  # so that each camera is rendered once
     view, colors = None, np.zeros((0, 0, 3), np.uint8)
@@ -178,7 +171,7 @@ def draw_things(
                 colors = as_picture(view.renders.colors().cpu())
             mask = view.mask_of(thing.gaussians)
             if (window := crop_window(mask)) is not None:
-                yield thing, cropped(colors, window, mask)
+                yield thing, cropped(colors, window, mask), camera, window
                 break
 
 
@@ -214,14 +207,11 @@ def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
 
 def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:
     """Return the rows and columns around a mask [H, W] with a margin; None if it is empty."""
-    rows, columns = np.nonzero(mask.numpy())
-    if not len(rows):
+    if (box := mask_box(mask)) is None:
         return None
-    margin = int(MARGIN * max(np.ptp(rows), np.ptp(columns))) + 8
-    return (
-        slice(max(0, rows.min() - margin), rows.max() + margin + 1),
-        slice(max(0, columns.min() - margin), columns.max() + margin + 1),
-    )
+    x0, y0, x1, y1 = box
+    margin = int(MARGIN * (max(x1 - x0, y1 - y0) - 1)) + 8
+    return slice(max(0, y0 - margin), y1 + margin), slice(max(0, x0 - margin), x1 + margin)
 
 
 def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | None = None) -> Picture:

@@ -10,44 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base import InputError, write_text
+from scoup.base import write_text
 
 
 @dataclass(frozen=True)
 class CocoAnnotations:
     """Annotated images, one added after the other."""
 
-    categories: tuple[str, ...]  # names, numbered from 1 as COCO does
+    categories: tuple[str, ...]  # different names, numbered from 1 as COCO does
     images: list[dict[str, Any]] = field(default_factory=list)  # entries of the file, as the next
     annotations: list[dict[str, Any]] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        if len(set(self.categories)) < len(self.categories):
-            raise InputError(f"categories need different names, got {', '.join(self.categories)}")
-
-    def add(
-        self,
-        file_name: str,
-        size: tuple[int, int],
-        masks: Sequence[np.ndarray | None],
-        scores: Sequence[float | None] | None = None,
-    ) -> None:
-        """Add an image; categories without a pixel get no annotation.
-
-        Args:
-            file_name: of the image.
-            size: (width, height) in pixels.
-            masks: one a category, [H, W] boolean; None is empty.
-            scores: of each category, 0 to 1.
-        """
-        width, height = size
+    def add(self, file_name: str, masks: Sequence[np.ndarray], scores: Sequence[float] | None = None) -> None:
+        """Add an image, from a mask [H, W] boolean, and perhaps a score, per category; those without a pixel get no
+        annotation."""
+        height, width = masks[0].shape
         number = len(self.images) + 1
         self.images.append({"id": number, "file_name": file_name, "width": width, "height": height})
         for category, mask in enumerate(masks, start=1):
-            if mask is None or not mask.any():
+            if not mask.any():
                 continue
-            if mask.shape != (height, width):
-                raise InputError(f"{file_name}: a mask of {list(mask.shape)} is not of {width} x {height}")
             rows, columns = mask.any(1).nonzero()[0], mask.any(0).nonzero()[0]
             x, y = int(columns[0]), int(rows[0])
             entry = {
@@ -59,8 +41,8 @@ class CocoAnnotations:
                 "bbox": [x, y, int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y],
                 "iscrowd": 0,
             }
-            score = None if scores is None else scores[category - 1]
-            self.annotations.append(entry if score is None else {**entry, "score": round(score, 4)})
+            score = {} if scores is None else {"score": round(scores[category - 1], 4)}
+            self.annotations.append(entry | score)
 
     def write(self, path: str | Path, overwrite: bool = False) -> None:
         """Write the file."""

@@ -38,14 +38,13 @@ from scoup.base import (
 from scoup.field import NO_THING, Field
 from scoup.pictures import Picture, as_picture
 from scoup.query import constants
-from scoup.query.catalog import PAGE, PICTURES, Card, cards_page, crop_window, cropped, viewing_cameras
+from scoup.query.catalog import PAGE, PICTURES, Card, cards_page, cropped, draw_things
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
 from scoup.query.registration import Array, Capture, Registration, centred, moved_points, register, scale_of
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.query.view_answer import render_depth
-from scoup.scene import Camera
 
 SCHEMA = "scoup comparison"
 
@@ -350,21 +349,11 @@ def _pictures(
     transform = comparison.registration.transform
     sides = (old, change.old, new, np.linalg.inv(transform)), (new, change.new, old, transform)
     for index, (field, thing, other, to_other) in enumerate(sides):
-        if thing is None:
-            continue
-        for camera in viewing_cameras(thing, list(field.cameras or ())):
-            view = FieldView(field, camera)
-            mask = view.mask_of(thing.gaussians)
-            window = crop_window(mask)
-            if window is None:
-                continue
-            yield SIDES[index], cropped(as_picture(view.renders.colors().cpu()), window, mask)
+        drawn = draw_things(field, [] if thing is None else [thing], list(field.cameras or ()))
+        for _, picture, camera, window in drawn:
+            yield SIDES[index], picture
             if change.kind != "moved":
-                again = FieldView(other, _moved_camera(camera, to_other))
-                yield SIDES[1 - index], cropped(as_picture(again.renders.colors().cpu()), window)
-            break
-
-
-def _moved_camera(camera: Camera, transform: Array) -> Camera:
-    scale = scale_of(transform)
-    return camera.moved(transform[:3, :3] / scale, transform[:3, 3] / scale, scale)
+                scale = scale_of(to_other)
+                moved = camera.moved(to_other[:3, :3] / scale, to_other[:3, 3] / scale, scale)
+                colors = FieldView(other, moved).renders.colors()
+                yield SIDES[1 - index], cropped(as_picture(colors.cpu()), window)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -76,37 +76,31 @@ def placed_atoms(atoms: Tensor) -> Tensor:
     return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
 
 
-@dataclass(frozen=True, eq=False)
-class _CodeColors:
-    """A mapping from the codes of one level to colours, the same in every view as it is made from the Gaussians."""
-
-    gaussians: Tensor  # [N, axes], the places of their atoms, weighted
-    basis: tuple[NDArray[np.float64], NDArray[np.float64]]
-    leading: dict[str, tuple[int, int, int]]  # atoms that lead the codes of most Gaussians, and their colours
-
-
 def code_drawing(field: Field, level: str | int, plain: bool = False) -> Draw:
     """Return a function that draws the codes of one level as colours, which are the same in every view.
 
     The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
     """
     row = field.level_index(level)
-    colors = field.kept((_CodeColors, row), lambda: _code_colors(field, row))
+    gaussians, basis, leading = field.kept((_code_colors, row), lambda: _code_colors(field, row))
     name = field.levels[row]
 
     def draw(view: FieldView) -> Picture:
-        image = raster.render_values(view.projection, colors.gaussians.to(field.codebook.device))
-        picture = code_picture(image, colors.basis)
+        image = raster.render_values(view.projection, gaussians.to(field.codebook.device))
+        picture = code_picture(image, basis)
         if plain:
             return picture
         titled = captioned(picture, f"codes, level {LEVEL_NAMES.get(name, name)}", view.camera.name)
-        swatches, names = [*colors.leading.values()], [*colors.leading]
-        return swatch_legend(titled, CODE_LEGEND, "most frequent atoms", swatches, names)
+        return swatch_legend(titled, CODE_LEGEND, "most frequent atoms", [*leading.values()], [*leading])
 
     return draw
 
 
-def _code_colors(field: Field, row: int) -> _CodeColors:
+def _code_colors(
+    field: Field, row: int
+) -> tuple[Tensor, tuple[NDArray[np.float64], NDArray[np.float64]], dict[str, tuple[int, int, int]]]:
+    """Return the weighted places [N, ``AXES``] of the atoms of each Gaussian; their ``code_basis``, so that colours are
+    the same in every view; and the atoms that lead the codes of most Gaussians, with their colours."""
     placed = placed_atoms(field.codebook[row].cpu())
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
     gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
@@ -120,7 +114,7 @@ def _code_colors(field: Field, row: int) -> _CodeColors:
         if counts[atom]:
             red, green, blue = colors[atoms == atom].mean(0).round().astype(int).tolist()
             leading[str(atom)] = red, green, blue
-    return _CodeColors(gaussians, basis, leading)
+    return gaussians, basis, leading
 
 
 def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion, count: int) -> Cameras:

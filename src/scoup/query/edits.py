@@ -140,12 +140,8 @@ class SplatTable:
 
     @classmethod
     def of(cls, field: Field, geometry: Path | None = None) -> SplatTable:
-        """Read the PLY the field was built on, or make rows of its Gaussians if it was built on another file.
-
-        Args:
-            field: whose Gaussians are wanted.
-            geometry: file of its splat; by default the one the field names.
-        """
+        """Read the PLY the field was built on, by default the file it names, or make rows of its Gaussians if it was
+        built on another one."""
         path = geometry or field.geometry_path
         try:
             path = None if path is None else splat_source(path).path

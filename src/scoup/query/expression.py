@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from scoup.base import InputError
 from scoup.query.phrases import (
@@ -23,7 +23,6 @@ from scoup.query.phrases import (
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
 USAGE = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
 _DEEPEST = 50  # operators within operators
-Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -90,30 +89,6 @@ class Expression:
 
     def __str__(self) -> str:
         return _text_of(self.root)
-
-    def fold(
-        self,
-        leaf: Callable[[str | Phrase], Value],
-        negate: Callable[[Value], Value],
-        join: Callable[[str, Value, Value], Value],
-    ) -> Value:
-        """Return the value of the tree, from its leaves up.
-
-        Args:
-            leaf: of a text or phrase.
-            negate: of "not".
-            join: of "and" or "or", with the values of two parts.
-        """
-
-        def value(node: Node) -> Value:
-            if not isinstance(node, Operation):
-                return leaf(node)
-            values = [value(child) for child in node.parts]
-            if node.operator == "not":
-                return negate(values[0])
-            return reduce(lambda one, other: join(node.operator, one, other), values)
-
-        return value(self.root)
 
 
 def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = None) -> Expression:

@@ -225,15 +225,8 @@ class LabelFiles:
         geometry: Path | None = None,
         progress: Progress = no_progress,
     ) -> list[Camera]:
-        """Write the files into an empty folder; return the cameras that see no coded Gaussian.
-
-        Args:
-            field: that was labelled, with its geometry.
-            labels: of its Gaussians.
-            folder: created if missing.
-            geometry: file of the splat; by default the one the field names.
-            progress: called after each view.
-        """
+        """Write the files into an empty folder, made if it is missing; return the cameras that see no coded Gaussian.
+        ``geometry`` is the file of the splat, by default the one the field names."""
         gaussians, outputs = field.gaussians.to("cpu"), self._outputs
         folder.mkdir(parents=True, exist_ok=True)
         if "sidecar" in outputs:
@@ -275,9 +268,9 @@ class LabelFiles:
             if maps:
                 save_label_png(words, colors, folder / self._maps[number])
                 masks = [(words == word).numpy() for word in range(len(labels.names))]
-                coco.add(camera.name, (camera.width, camera.height), masks)
+                coco.add(camera.name, masks)
             if binary:
-                save_png(words.cpu() >= 0, folder / self._masks[number])
+                save_png(words >= 0, folder / self._masks[number])
             if number in on_sheet:
                 sheet[camera.name] = region_overlay(words, view.renders.colors().cpu())
             progress("label maps", done, len(wanted))
@@ -302,20 +295,16 @@ def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:
     ]
 
 
-def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
-    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
+def save_label_png(numbers: Tensor, colors: np.ndarray, path: Path) -> None:
+    """Write a ``label_map`` of words with ``colors`` [C, 3] uint8 as a PNG whose pixel values are the numbers plus one.
 
-    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
-    picture of 16 bits.
+    Up to 255 words it has a palette, so that it shows in colours; more make a grey picture of 16 bits.
     """
-    array = numbers.cpu().numpy() if isinstance(numbers, Tensor) else np.asarray(numbers)
-    count = len(colors)
-    if array.ndim != 2 or not array.size or array.min() < -1 or array.max() >= count or count > 65535:
-        raise InputError(f"{path}: a map of numbers is [H, W], each -1 to {count - 1}")
-    if count > 255:
-        picture = Image.fromarray((array + 1).astype(np.uint16))
-    else:
-        picture = Image.fromarray((array + 1).astype(np.uint8))
+    if len(colors) > 65535:
+        raise InputError(f"{path}: a map has at most 65535 words, got {len(colors)}")
+    values = (numbers + 1).numpy()
+    picture = Image.fromarray(values.astype(np.uint16 if len(colors) > 255 else np.uint8))
+    if len(colors) <= 255:
         picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
     with atomic_file(path) as stream:
         picture.save(stream, format="PNG")

@@ -66,7 +66,7 @@ class LanguageField(Field):
         super().__init__(*codes, **others)
         check_arguments("LanguageField", words=(words, _WORDS))
         self.words = words
-        self._encoder, self._is_checked = words if isinstance(words, TextEncoder) else None, False
+        self._encoder: TextEncoder | None = None  # opened and checked
 
     @classmethod
     def load(
@@ -106,7 +106,7 @@ class LanguageField(Field):
 
     def _like(self, other: Field) -> LanguageField:
         if isinstance(other, LanguageField) and self.words is other.words:
-            self._encoder, self._is_checked = other._encoder, other._is_checked
+            self._encoder = other._encoder
         return self
 
     def _repr_html_(self) -> str:
@@ -147,11 +147,10 @@ class LanguageField(Field):
         """
         if self._encoder is None:
             source = self.encoder_source if self.words is None else self.words
-            assert not isinstance(source, TextEncoder)
-            self._encoder = TextEncoder.open(source, device=self.codebook.device)
-        if not self._is_checked:
-            check_encoder(self, self._encoder)
-            self._is_checked = True
+            if not isinstance(source, TextEncoder):
+                source = TextEncoder.open(source, device=self.codebook.device)
+            check_encoder(self, source)
+            self._encoder = source
         return self._encoder
 
     def naming_question(self, words: Sequence[str] = ()) -> Question[Any]:

@@ -46,16 +46,8 @@ class Choice:
 
 
 def choose_things(known: ThingIndex, fits: Tensor, level: int | None = None) -> list[list[Choice | None]]:
-    """Return the things that answer each text in each scene.
-
-    Args:
-        known: N things of S scenes.
-        fits: [N, Q], from ``ThingIndex.fits``.
-        level: the one that answers; None: the best.
-
-    Returns:
-        For each text S choices; None where no thing of the level has a Gaussian and an embedding.
-    """
+    """Return for each text the choice of each scene, from fits [N, Q]; None where no thing of the level has a Gaussian
+    and an embedding. ``level`` answers, by default the best."""
     starts = torch.tensor(known.starts)
     sizes = starts.diff()
     choices: list[list[Choice | None]] = [[None] * len(sizes) for _ in range(fits.shape[1])]
@@ -86,14 +78,8 @@ class _Sets:
 
     @classmethod
     def of(cls, known: ThingIndex, fits: Tensor, rows: Tensor, usable: Tensor, level: int) -> _Sets:
-        """Return the sets of one level.
-
-        Args:
-            known: as for ``choose_things``.
-            fits: [S, Q, T], -inf for things that are not usable.
-            rows: [S, T] the things of each scene in the index.
-            usable: [S, T].
-        """
+        """Return the sets of one level, from the rows [S, T] of the things of each scene in the index, which of them
+        are usable [S, T], and fits [S, Q, T], -inf for others."""
         top = fits.amax(2, keepdim=True)
         middle = torch.where(usable[:, None], fits, torch.nan).nanmedian(2, keepdim=True).values
         of_level = usable & (known.levels[rows] == level)

@@ -42,19 +42,14 @@ class Named:
 
     def score(self, by_field: float | None = None, thing: int | None = None) -> float:
         """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
-        presence = joined_presence(float(self.names.presence[self.number]), by_field)
+        presence = float(self.names.presence[self.number])
+        if by_field is not None:
+            bounded = min(max(by_field, 0.01), 0.99)
+            raised = presence * (bounded / (1 - bounded)) ** constants.FIELD_POWER
+            presence = raised / (raised + 1 - presence)
         if thing is None or not self.is_sure:
             return presence
         return presence * float(self.votes[thing] / self.votes.max())
-
-
-def joined_presence(presence: float, by_field: float | None) -> float:
-    """Return the presence of a text, from that of the photographs and the field's score of it."""
-    if by_field is None:
-        return presence
-    bounded = min(max(by_field, 0.01), 0.99)
-    raised = presence * (bounded / (1 - bounded)) ** constants.FIELD_POWER
-    return raised / (raised + 1 - presence)
 
 
 def named_texts(table: ThingTable | None, question: Question) -> list[dict[int, Named]]:
@@ -78,11 +73,7 @@ def joined(
     choice: Choice, votes: Tensor, levels: Tensor, usable: Tensor, fits: Tensor, level: int | None = None
 ) -> Choice:
     """Return the things that answer a text, from a scene's choice and the votes [T] of a model that is sure of it.
-
-    Args:
-        choice, votes: of the text.
-        levels, usable, fits: [T], of the scene (``ThingIndex``).
-        level: the one that answers; None: the best.
+    ``levels``, ``usable`` and ``fits`` [T] are of the scene (``ThingIndex``); ``level`` answers, by default the best.
     """
     votes = torch.where(usable & (levels == level) if level is not None else usable, votes, 0.0)
     most, things = votes.max(), torch.tensor(choice.things)
@@ -105,12 +96,7 @@ def joined(
 
 
 def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int, tuple[str, ...]]:
-    """Return the names that a model gave to each thing that it is sure of, best first.
-
-    Args:
-        field: with or without names.
-        texts: that may be names; None: all.
-    """
+    """Return the names that a model gave to each thing that it is sure of, best first, all or some of ``texts``."""
     table = field.thing_table
     if table is None or table.names is None or not len(table.names.votes):
         return {}
@@ -125,16 +111,12 @@ def voted_names(field: Field, texts: Collection[str] | None = None) -> dict[int,
         & (names.presence[usable] >= constants.LIKELY)
     )
     by_thing = {}
-    for thing, row in enumerate(best_words(votes).tolist()):
+    best = less_common(votes).topk(min(constants.NAMES, votes.shape[1]), dim=1).indices
+    for thing, row in enumerate(best.tolist()):
         rows = [usable[word] for word in row if sure[thing, word]]
         if rows:
             by_thing[thing] = tuple(names.texts[word] for word in rows)
     return by_thing
-
-
-def best_words(cosines: Tensor) -> Tensor:
-    """Return up to ``constants.NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
-    return less_common(cosines).topk(min(constants.NAMES, cosines.shape[1]), dim=1).indices
 
 
 def less_common(cosines: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from scoup.query.expression import USAGE, name_forms
 from scoup.query.frame import scene_frame
 from scoup.query.phrases import WORDS
 from scoup.query.question import Question
-from scoup.query.relation_rules import Shapes, touching_things
+from scoup.query.relations import Shapes, touching_things
 from scoup.query.thing_judge import thing_index
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, best_part_number

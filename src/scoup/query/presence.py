@@ -57,13 +57,8 @@ def check_share(name: str, value: float | None) -> None:
 
 
 def presence_threshold(n_words: int, source: str, wanted: float | None = None) -> float | None:
-    """Return the score from which a text counts as present; None with too few everyday words to judge it.
-
-    Args:
-        n_words: number of everyday words.
-        source: of the words, for messages.
-        wanted: by default ``constants.PRESENT_FROM``.
-    """
+    """Return the score from which a text counts as present, by default ``constants.PRESENT_FROM``; None with too few
+    everyday words to judge it. Messages name their ``source``."""
     check_share("the least score of presence", wanted)
     if n_words >= LEAST_WORDS:
         return constants.PRESENT_FROM if wanted is None else wanted
@@ -90,14 +85,6 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
     near = queries @ words.T
     alike = near > near.mean(1, keepdim=True) + constants.OTHER_NAME * near.std(1, keepdim=True)
     return ~alike & (near < constants.SAME_WORD)
-
-
-def compared_others(question: Question[Any]) -> Tensor:
-    """Return a mask of the everyday words that count for each text, [Q, B] boolean; [Q, 0] with too few words."""
-    queries = question.queries.float().cpu()
-    if not question.can_judge_presence:
-        return torch.zeros(len(queries), 0, dtype=torch.bool)
-    return other_words(queries, question.everyday.float().cpu())
 
 
 class TextScore:
@@ -161,6 +148,9 @@ def text_scores(
 ) -> list[TextScore]:
     """Return the score of each text against the best fits of everyday words [S, B], joined with those of its names in
     the scenes; with too few words, none counts."""
-    others, nothing = compared_others(question), [None] * len(question.texts)
+    queries, nothing = question.queries.float().cpu(), [None] * len(question.texts)
+    others = torch.zeros(len(queries), 0, dtype=torch.bool)
+    if question.can_judge_presence:
+        others = other_words(queries, question.everyday.float().cpu())
     every = zip(others, named or nothing, nearer or nothing, strict=True)
     return [TextScore(best_fits[:, : len(each)], each, names, of) for each, names, of in every]

@@ -276,14 +276,8 @@ def _given_vectors(texts: Any) -> Tensor:
 
 
 def check_encoder(field: Field, encoder: TextEncoder) -> None:
-    """Check that texts of an encoder can be asked of a field.
-
-    Raises:
-        InputError: its vectors have another size than the field's embeddings.
-
-    Warns:
-        ScoupWarning: encoder and field name different models.
-    """
+    """Refuse an encoder whose vectors have another size than the field's embeddings; warn if both name their models and
+    these differ."""
     if encoder.dim != field.dim:
         raise InputError(
             f"{encoder.source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings "
@@ -293,14 +287,8 @@ def check_encoder(field: Field, encoder: TextEncoder) -> None:
 
 
 def encode_texts(encoder: TextEncoder, texts: Sequence[str], parsed: bool = True) -> TextVectors:
-    """Encode texts to query fields with, the canonical phrases, and everyday words.
-
-    Args:
-        parsed: whether texts with relations and orders could have been asked in their place; for the error.
-
-    Warns:
-        ScoupWarning: the table lacks the canonical phrases.
-    """
+    """Encode texts to query fields with, the canonical phrases, and everyday words; warn of a table that lacks the
+    canonical phrases. ``parsed`` says that texts with relations and orders could have been asked in their place."""
     try:
         queries = encoder.encode(texts)
     except UnknownNameError as error:

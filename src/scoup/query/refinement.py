@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base import InputError, check_arguments
@@ -96,9 +94,11 @@ def refine(
     views: list[tuple[Camera, Detections]] = []
     rendered = 0
     for camera in choose_views(field, words, cameras):
-        image = _photograph(camera)
-        rendered += image is None
-        shown = as_picture(FieldView(field, camera).renders.colors()) if image is None else image
+        if camera.image_path is not None and camera.image_path.is_file():
+            shown = load_image(camera).numpy()
+        else:
+            shown = as_picture(FieldView(field, camera).renders.colors())
+            rendered += 1
         views.append((camera, model.detect(shown, words)))
     looked_at = tuple(camera.name for camera, _ in views)
     return Refined(name_field(field, words, views), words, looked_at, rendered, time.perf_counter() - started)
@@ -159,10 +159,3 @@ def _apparent_sizes(field: Field, cameras: Cameras) -> Tensor:
         )
         sizes.append(torch.where(camera.shows(middles) & (counts > 0), size.clamp(max=1), 0.0))
     return torch.stack(sizes).float()
-
-
-def _photograph(camera: Camera) -> NDArray[np.uint8] | None:
-    """Return the photograph of a camera at its size; None where there is none."""
-    if camera.image_path is None or not camera.image_path.is_file():
-        return None
-    return load_image(camera).numpy()

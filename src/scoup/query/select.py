@@ -69,16 +69,10 @@ def select(field: Field, question: Question[Any], reshaping: Reshaping | None = 
 
 
 def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:
-    """Reshape a selection, [N] boolean.
+    """Reshape a selection, ``mask`` [N] boolean, whose parts weigh relevancy [N] times opacity.
 
     Neighbours of a Gaussian are the ``NEIGHBOURS`` nearest that are not much further away than usual among those
     inside. Gaussians that are not finite have none, and are not added.
-
-    Args:
-        gaussians: N of them, on any device.
-        mask: [N] boolean, the selection.
-        relevancy: [N]; parts weigh relevancy times opacity.
-        wanted: the changes.
     """
     means = gaussians.means.cpu().double()
     usable = torch.isfinite(means).all(1)

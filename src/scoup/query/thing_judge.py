@@ -88,13 +88,9 @@ class ThingIndex:
     known_best_fits: Tensor | None = None  # [S, B] float32
 
     @classmethod
-    def of(
-        cls, things: ThingTable, words: Tensor, counts: Tensor | None = None, shares: Shares | None = None
-    ) -> ThingIndex:
-        """Compare things with everyday words, or with whatever stands in their place; ``counts`` and ``shares`` replace
-        the owners of the table."""
-        if counts is None:
-            counts = things.sums(torch.ones(len(things.owners))).float()
+    def of(cls, things: ThingTable, words: Tensor) -> ThingIndex:
+        """Compare things with everyday words, or with whatever stands in their place."""
+        counts = things.sums(torch.ones(len(things.owners))).float()
         vectors, mass = things.embeddings.float().cpu(), things.mass.cpu()
         return cls(
             words=words.clone(),
@@ -106,7 +102,7 @@ class ThingIndex:
             doubt=_doubt(things.n_regions.cpu(), things.stability.cpu()),
             spread=torch.full_like(mass, things.spread),
             hubs=hub_cosines(vectors, words),
-            shares=shares or shared_gaussians(things),
+            shares=shared_gaussians(things),
         )
 
     @classmethod
@@ -147,11 +143,6 @@ class ThingIndex:
         """Return the index of other words."""
         hubs = torch.cat([hub_cosines(vectors, words) for vectors in self.vectors])
         return replace(self, words=words, hubs=hubs, known_best_fits=None)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of its largest tensors."""
-        return self.words.nbytes + sum(vectors.nbytes for vectors in self.vectors)
 
     @cached_property
     def starts(self) -> list[int]:
@@ -229,13 +220,8 @@ class ThingIndex:
         named: Sequence[Mapping[int, Named]],
         known_fits: Tensor | None = None,
     ) -> Iterator[list[Verdict]]:
-        """Yield the answer of each scene to each text of a question.
-
-        Args:
-            question: of Q texts.
-            named: for each text, by scene, what a model with words said of it (``named_texts``).
-            known_fits: [N, Q] of its texts, if they were asked for before.
-        """
+        """Yield the answer of each scene to each text of a question. ``named`` says for each text, by scene, what a
+        model with words said of it (``named_texts``); ``known_fits`` [N, Q] are of its texts, if asked for before."""
         fits = self.fits(question.queries) if known_fits is None else known_fits
         scores = self.text_scores(question, fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
@@ -281,18 +267,13 @@ class ThingIndex:
 
 @dataclass(frozen=True, eq=False)
 class AskedThings:
-    """The things of an index, asked the texts of a question.
-
-    Args:
-        names: of the things of some scenes, by scene.
-        encode: ``encoder.encode`` with a cache.
-    """
+    """The things of an index, asked the texts of a question."""
 
     index: ThingIndex
     question: Question[Any]
-    names: Mapping[int, NameTable]
+    names: Sequence[NameTable | None]  # of the things of each scene
     encoder: TextEncoder
-    encode: Callable[[tuple[str, ...]], Tensor]
+    encode: Callable[[tuple[str, ...]], Tensor]  # of the encoder, with a cache
 
     @cached_property
     def fits(self) -> Tensor:
@@ -303,7 +284,9 @@ class AskedThings:
     def _named(self) -> list[dict[int, Named]]:
         """For each text, by scene."""
         named: dict[int, list[Named | None]] = {}
-        for scene, names in self.names.items():
+        for scene, names in enumerate(self.names):
+            if names is None:
+                continue
             near = near_names(names, self.encoder, self.question, self.encode)
             count = len(self.index.vectors[scene])
             named[scene] = find_named(names, count, replace(self.question, near=near))
@@ -357,15 +340,10 @@ def shared_gaussians(things: ThingTable) -> Shares:
         pairs = keys // max(count, 1), keys % max(count, 1)
         rows, others = torch.cat([rows, *pairs]), torch.cat([others, *reversed(pairs)])
         counts = torch.cat([counts, *[shared.float()] * 2])
-    return shares_of(rows, others, counts, count)
-
-
-def shares_of(rows: Tensor, others: Tensor, gaussians: Tensor, count: int) -> Shares:
-    """Return the Gaussians that pairs of ``count`` things share, in order of these."""
     order = (rows * count + others).argsort()
     ends = torch.zeros(count + 1, dtype=torch.int64)
     ends[1:] = torch.bincount(rows, minlength=count).cumsum(0)
-    return Shares(ends, others[order].int(), gaussians[order])
+    return Shares(ends, others[order].int(), counts[order])
 
 
 def thing_index(field: Field, texts: TextVectors) -> ThingIndex | None:

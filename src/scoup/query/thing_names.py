@@ -96,14 +96,10 @@ def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
 
 
 def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
-    """Return all things with their best names as ``text``, or "".
+    """Return all things with their best names as ``text``, or "": some of ``words`` (``naming_question``), or without
+    an encoder, and so words, only a detector's.
 
     Catalogue, page, agents and comparisons name things by this.
-
-    Args:
-        field: with or without things.
-        words: that may be names (``naming_question``); None: there is no encoder, and only a detector's names are
-            known.
     """
     things = all_things(field)
     if words is None:

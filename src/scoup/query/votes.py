@@ -135,14 +135,8 @@ class SampledVotes:
 
 
 def thresholds_of_counts(counts: Tensor) -> Tensor:
-    """Return the most stable threshold of each row.
-
-    Args:
-        counts: [S, ``BINS``] of values of relevancy (``stretched_counts``).
-
-    Returns:
-        [S] float32 on the CPU, on the rescaled relevancy. Rows that are empty, constant or not finite have the centre.
-    """
+    """Return the most stable threshold [S] float32 on the rescaled relevancy, on the CPU, from ``stretched_counts`` [S,
+    ``BINS``]. Rows that are empty, constant or not finite have the centre."""
     above = counts.double().flip(1).cumsum(1).flip(1)  # values in bin b and further up
     area = above.clamp(min=1).log()
     half = round(constants.WINDOW / 2 * BINS)
