@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import difflib
 import errno
 import functools
@@ -29,6 +30,11 @@ class ScoupError(Exception):
         nothing.ply: there is no such file or folder (a trained splat was expected); check the path
     """
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # By its state: most classes make their message of other arguments than their ``args``.
+        new = copyreg.__newobj__  # pyright: ignore[reportAttributeAccessIssue]
+        return new, (type(self),), {"args": self.args, **vars(self)}
+
 
 class InputError(ScoupError, ValueError):
     """A value or a file that cannot be used."""
@@ -47,9 +53,6 @@ class FileFormatError(InputError):
         self.problem = problem
         self.remedy = remedy
         super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.problem, self.remedy)
 
     @staticmethod
     def unreadable(path: str | Path, error: OSError) -> FileFormatError:
@@ -85,9 +88,6 @@ class FieldVersionError(FileFormatError):
         self.newest = newest
         problem = f"was written by a newer SCOUP (format version {version}, this one reads up to {newest})"
         super().__init__(path, problem, "update it: pip install -U scoup")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.version, self.newest)
 
 
 def check_format_version(path: str | Path, version: object, newest: int) -> None:
@@ -143,9 +143,6 @@ class OutputExistsError(ScoupError, FileExistsError):
         self.path = Path(path)
         super().__init__(f"{path}: already exists; pass `overwrite=True` to replace it")
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path,)
-
 
 class WriteError(InputError):
     """An output that the system refuses to write, such as on a full disk.
@@ -160,9 +157,6 @@ class WriteError(InputError):
         self.reason = reason
         self.remedy = remedy
         super().__init__(f"{path}: cannot be written ({reason})" + (f"; {remedy}" if remedy else ""))
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.reason, self.remedy)
 
     @classmethod
     def of(cls, path: str | Path, error: OSError) -> WriteError:
@@ -182,9 +176,6 @@ class OutputInUseError(InputError):
         super().__init__(
             f"{path}: is being written by another process; wait for it, or choose another output"
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path,)
 
 
 class UnknownNameError(InputError, KeyError):
@@ -208,9 +199,6 @@ class UnknownNameError(InputError, KeyError):
         self.message = f"{where and f'{where}: '}no {kind} named {quoted(name)}; nearest names: {listed}"
         self.message += remedy and f"; {remedy}"
         super().__init__(self.message)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.kind, self.name, self.nearest, self.where, self.remedy)
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message
