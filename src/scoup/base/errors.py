@@ -9,7 +9,7 @@ import functools
 import stat
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +17,14 @@ Entry = TypeVar("Entry")
 
 NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
 """Errors of the system for a write without space: the disk, the quota or the largest file size is full."""
+_REMEDIES = {
+    **dict.fromkeys(NO_SPACE, "free some space, or choose another place"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "raise the limit of open files (ulimit -n)"),
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EIO: "check its disk or network drive, and retry",
+    getattr(errno, "ESTALE", errno.EIO): "check its disk or network drive, and retry",
+}
+"""What the user can do about an error of the system."""
 
 
 class ScoupError(Exception):
@@ -59,21 +67,8 @@ class FileFormatError(InputError):
         """Return the error of a file that was found, and that the system then refuses to read."""
         if isinstance(error, FileNotFoundError):
             return FileFormatError(path, "disappeared while being read", "restore it and retry")
-        remedy = remedy_of(error) or "check its permissions"
+        remedy = _REMEDIES.get(error.errno or 0, "check its permissions")
         return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
-
-
-def remedy_of(error: OSError) -> str:
-    """Return what the user can do about an error of the system; "" where that is not known."""
-    if error.errno in NO_SPACE:
-        return "free some space, or choose another place"
-    if error.errno in (errno.EMFILE, errno.ENFILE):
-        return "raise the limit of open files (ulimit -n)"
-    if error.errno == errno.ENAMETOOLONG:
-        return "choose a shorter name"
-    if error.errno in (errno.EIO, getattr(errno, "ESTALE", errno.EIO)):
-        return "check its disk or network drive, and retry"
-    return ""
 
 
 class FieldVersionError(FileFormatError):
@@ -122,16 +117,12 @@ class MissingFileError(FileFormatError, FileNotFoundError):
 
         Args:
             what: was expected.
-            kind: "file" or "file or folder".
+            kind: "file", "folder" or "file or folder".
         """
-        special = {stat.S_ISDIR: "folder", stat.S_ISFIFO: "named pipe (FIFO)", stat.S_ISSOCK: "socket",
-                   stat.S_ISCHR: "device", stat.S_ISBLK: "device"}  # fmt: skip
-        try:
-            mode = Path(path).stat().st_mode
-        except (OSError, ValueError):
-            mode = 0
-        for is_kind, name in special.items():
-            if is_kind(mode):
+        names = {stat.S_IFDIR: "folder", stat.S_IFREG: "file", stat.S_IFIFO: "named pipe (FIFO)",
+                 stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device"}  # fmt: skip
+        with suppress(OSError, ValueError):
+            if name := names.get(stat.S_IFMT(Path(path).stat().st_mode)):
                 return cls(path, f"is a {name}, not {what}", remedy)
         return cls(path, f"there is no such {kind} ({what} was expected)", remedy)
 
@@ -161,7 +152,7 @@ class WriteError(InputError):
     @classmethod
     def of(cls, path: str | Path, error: OSError) -> WriteError:
         """Return the error of an output for one of the system."""
-        return cls(path, error.strerror or str(error), remedy_of(error))
+        return cls(path, error.strerror or str(error), _REMEDIES.get(error.errno or 0, ""))
 
     def at(self, path: Path) -> WriteError:
         """Return the same error for the output that a temporary file would have become."""
@@ -240,12 +231,8 @@ def quoted(text: str) -> str:
 
 def nearest_names(name: str, known: Iterable[str]) -> list[str]:
     """Return the names of ``known`` most similar to ``name``, best first, ignoring case; at most five."""
-    names = list(dict.fromkeys(known))
-    if not names:
-        return []
     wanted = name.lower()
-    ranked = sorted(names, key=lambda item: -_similarity(wanted, item.lower()))
-    return ranked[:5]
+    return sorted(dict.fromkeys(known), key=lambda item: -_similarity(wanted, item.lower()))[:5]
 
 
 def _similarity(wanted: str, candidate: str) -> float:

@@ -161,9 +161,6 @@ def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one 
 
 def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
     """Return ``path`` if it is a folder; else raise a MissingFileError."""
-    path = Path(path)
-    if os.path.isfile(path):
-        raise MissingFileError(path, f"is a file, not {what}", remedy)
     if not os.path.isdir(path):
-        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
-    return path
+        raise MissingFileError.of(path, what, remedy, "folder")
+    return Path(path)
