@@ -44,7 +44,6 @@ from scoup.io import (
     as_stored,
     save_gaussians,
     save_png,
-    write_colmap,
     write_gltf,
     write_transforms,
 )
@@ -55,6 +54,7 @@ from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections, Gaussians
 from scoup.uplift import region_sums
+from scoup_lab.data.colmap_model import write_colmap
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs

@@ -28,13 +28,13 @@ from scoup.io import (
     load_image,
     save_gaussians,
     splat_source,
-    write_colmap,
     write_transforms,
 )
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.scenes import camera_photographs
 from scoup.io.splats.ply import PlyTable
 from scoup.scene import sanity_problems
+from scoup_lab.data.colmap_model import write_colmap
 
 
 def colmap_scene(

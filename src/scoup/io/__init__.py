@@ -5,7 +5,7 @@ nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one
 """
 
 from scoup.io.camera_images import attach_images
-from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
+from scoup.io.cameras.colmap import read_points, read_tracks
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
@@ -68,7 +68,6 @@ __all__ = [
     "save_regions",
     "splat_source",
     "spread_directions",
-    "write_colmap",
     "write_gltf",
     "write_transforms",
     "write_usd",
