@@ -41,7 +41,6 @@ from scoup.io import (
     DetectionStore,
     PlyTable,
     RegionManifest,
-    as_stored,
     save_gaussians,
     save_png,
     write_gltf,
@@ -166,7 +165,7 @@ def _write_fields(folder: Path) -> None:
     field.geometry_path = None
     field.save(folder / "a.scoup", embed_geometry=True)
     field.save(folder / "bytes.scoup", embed_geometry=True, weight_bits=8)
-    stored = as_stored(field.gaussians)
+    stored = PlyTable.of(field.gaussians).gaussians()[0]
     save_gaussians(stored, folder / "linked.ply")
     info = replace(field.info, fingerprint=stored.fingerprint())
     codes = (field.code_indices, field.code_weights, field.codebook)

@@ -212,15 +212,9 @@ def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
     """Write the Inria layout.
 
     Gaussians that were read from a PLY file or a checkpoint read back bit by bit. Others are rounded to the
-    float32 logarithm and logit the layout holds (``as_stored`` gives them as they will be read).
+    float32 logarithm and logit the layout holds.
     """
     PlyTable.of(gaussians).write(path, overwrite)
-
-
-def as_stored(gaussians: Gaussians) -> Gaussians:
-    """Return the Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
-    stored = PlyTable.of(gaussians).gaussians()[0].to(gaussians.device)
-    return replace(stored, antialiased=gaussians.antialiased)
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
