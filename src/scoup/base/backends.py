@@ -73,10 +73,7 @@ def require_backend(name: str, device: torch.device) -> None:
 
 
 def triton_problem(device: torch.device) -> str | None:
-    """Return a sentence: why Triton kernels cannot serve tensors on this device. None if they can.
-
-    Imports triton, if it is there.
-    """
+    """Return a sentence: why Triton kernels cannot serve tensors on this device. None if they can."""
     import torch
 
     try:

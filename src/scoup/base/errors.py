@@ -49,12 +49,7 @@ class InputError(ScoupError, ValueError):
 
 
 class FileFormatError(InputError):
-    """A file whose contents are not what they should be.
-
-    Args:
-        problem: what is wrong with it.
-        remedy: what the user can do.
-    """
+    """A file whose contents are not what they should be: the problem with it, and what the user can do."""
 
     def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
         self.path = Path(path)
@@ -72,11 +67,8 @@ class FileFormatError(InputError):
 
 
 class FieldVersionError(FileFormatError):
-    """A language field, or another file of ours, in a version of its format that this software does not know yet.
-
-    Args:
-        newest: version that this software reads.
-    """
+    """A language field, or another file of ours, in a version of its format that this software does not know yet; it
+    reads up to ``newest``."""
 
     def __init__(self, path: str | Path, version: int, newest: int) -> None:
         self.version = version
@@ -136,12 +128,7 @@ class OutputExistsError(ScoupError, FileExistsError):
 
 
 class WriteError(InputError):
-    """An output that the system refuses to write, such as on a full disk.
-
-    Args:
-        reason: the system's.
-        remedy: what the user can do.
-    """
+    """An output that the system refuses to write, such as on a full disk; the reason is the system's."""
 
     def __init__(self, path: str | Path, reason: str, remedy: str = "") -> None:
         self.path = Path(path)
@@ -170,15 +157,8 @@ class OutputInUseError(InputError):
 
 
 class UnknownNameError(InputError, KeyError):
-    """A word, camera or level that is not in the set searched. The message lists the nearest names.
-
-    Args:
-        kind: what was searched, for example "camera".
-        name: the name that is not there.
-        known: the names there are.
-        where: the file or thing that was searched.
-        remedy: what to do, if none of these names is meant.
-    """
+    """A word, camera or level, by its ``kind``, that is not in the set searched: the ``known`` names of a file or thing
+    (``where``). The message lists the nearest names; ``remedy`` is for those who mean none of them."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", remedy: str = "") -> None:
         self.kind = kind

@@ -158,7 +158,6 @@ def temporary_output(
 
 
 def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:
-    """Rename a complete file to its output."""
     check_output(path, overwrite=overwrite)  # a program that knows no locks may have written it meanwhile
     if flush:
         _flush_content(temporary)
@@ -262,10 +261,7 @@ class _Output(io.BufferedIOBase):
 
 @contextmanager
 def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
-    """Let refusals to write a temporary file or folder name the final output.
-
-    A file that cannot be read in the block is not mistaken for one that cannot be written.
-    """
+    """Let refusals to write a temporary file or folder name the final output, but not those to read a file."""
     try:
         yield
     except WriteError as error:

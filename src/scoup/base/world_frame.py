@@ -110,10 +110,6 @@ def _unit_vector(name: str, *direction: float) -> Vector:
 
 
 def check_metres(length: float, what: str) -> None:
-    """Refuse a length that is not a number above 0.
-
-    Raises:
-        InputError: it is not; ``what`` names it.
-    """
+    """Refuse a length that is not a number above 0; ``what`` names it."""
     if not 0 < length < math.inf:
         raise InputError(f"{what} must be above 0, got {length}")

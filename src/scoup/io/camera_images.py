@@ -173,7 +173,6 @@ def _misfit(camera: Camera, size: tuple[int, int]) -> str:
 
 
 def _refuse(misfits: Mapping[Path, str]) -> None:
-    """Refuse images that are not those of their cameras, all at once."""
     if not misfits:
         return
     (first, problem), *others = misfits.items()

@@ -111,11 +111,7 @@ def quats_of_rotations(rotations: Tensor) -> Tensor:
 
 
 def checked_direction(up: Sequence[float]) -> Tensor:
-    """Return [3] float64, the unit vector of a direction.
-
-    Raises:
-        InputError: it is none.
-    """
+    """Return [3] float64, the unit vector of a direction; an InputError if it is none."""
     direction = torch.as_tensor(tuple(up), dtype=torch.float64).flatten()
     if direction.shape != (3,) or not bool(direction.isfinite().all()) or not bool(direction.any()):
         raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")

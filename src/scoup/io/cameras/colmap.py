@@ -46,9 +46,6 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
     SIMPLE_PINHOLE and PINHOLE are read as they are; SIMPLE_RADIAL, RADIAL and OPENCV count as pinhole if
     their coefficients are zero, and otherwise need ``distorted="undistort"``; other models are refused.
-
-    Warns:
-        ScoupWarning: names of images leave the folder of images.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
     end = _ending(folder)

@@ -22,14 +22,12 @@ _KEY = re.compile(r"^( *)data: *(.*)$")
 
 
 def is_nerfstudio_run(folder: str | Path) -> bool:
-    """Return whether a folder is an output of nerfstudio's training."""
     folder = Path(folder)
     beside = (folder / "nerfstudio_models").is_dir() or (folder / TRAINED_FRAME).is_file()
     return (folder / "config.yml").is_file() and beside
 
 
 def is_gsplat_results(folder: str | Path) -> bool:
-    """Return whether a folder is an output of gsplat's trainer."""
     folder = Path(folder)
     return (folder / GSPLAT_CONFIG).is_file() and any((folder / name).is_dir() for name in ("ckpts", "ply"))
 

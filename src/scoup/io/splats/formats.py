@@ -134,7 +134,6 @@ def other_format(path: Path) -> tuple[str, str] | None:
 
 
 def _only_splat(folder: Path) -> SplatSource:
-    """Return the only splat in a folder."""
     splats = []
     for file in sorted(folder.iterdir()):
         kind = format_of(file)

@@ -52,7 +52,6 @@ with open(target, "wb") as stream:
 
 
 def read_through_gaussforge(path: str | Path) -> Gaussians:
-    """Read a .ksplat or .sog file."""
     path = existing_file(path, "a splat")
     gaussians = _converted(path, path, path.suffix.lower()[1:])
     if path.suffix.lower() == _KSPLAT:
@@ -92,12 +91,10 @@ def _converted(path: Path, source: Path, kind: str) -> Gaussians:
 
 
 def _is_sog(path: Path) -> bool:
-    """Return whether a file is named and placed as the meta.json of a SOG."""
     return path.name == _META and any(path.parent.glob("*.webp"))
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a .ksplat or .sog file."""
     path = Path(path)
     if path.suffix.lower() == _KSPLAT:
         if gaussians.sh_degree > 2:
