@@ -135,7 +135,7 @@ def _reordered_for_ksplat(sh: Tensor, inverse: bool = False) -> Tensor:
 
 def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
     """Return whether gaussforge has converted a file, in a process of its own."""
-    if not _is_installed():
+    if importlib.util.find_spec("gaussforge") is None:
         raise ScoupError(f".{wanted if kind == 'ply' else kind} {HOW_TO_GET_IT}")
     size = source.stat().st_size
     memory = _LEAST_MEMORY + _MEMORY_A_BYTE * size
@@ -148,13 +148,6 @@ def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
             source, f"takes gaussforge more than {seconds:.0f} seconds", _WHAT_IT_IS
         ) from None
     return done.returncode == 0 and target.is_file()
-
-
-def _is_installed() -> bool:
-    try:
-        return importlib.util.find_spec("gaussforge") is not None
-    except ValueError:  # it was tried before, in vain
-        return False
 
 
 KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge, extra="splats")
