@@ -105,12 +105,8 @@ class MissingFileError(FileFormatError, FileNotFoundError):
     def of(
         cls, path: str | Path, what: str, remedy: str = "check the path", kind: str = "file"
     ) -> MissingFileError:
-        """Return the error of a path that is not a file, or not a folder: nothing is there, or something else.
-
-        Args:
-            what: was expected.
-            kind: "file", "folder" or "file or folder".
-        """
+        """Return the error of a path at which ``what`` was expected, a "file", "folder" or "file or folder", and where
+        nothing is, or something else."""
         names = {stat.S_IFDIR: "folder", stat.S_IFREG: "file", stat.S_IFIFO: "named pipe (FIFO)",
                  stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device"}  # fmt: skip
         with suppress(OSError, ValueError):

@@ -77,10 +77,7 @@ def atomic_path(path: str | Path, overwrite: bool = False, wait: bool = False) -
     all that is in it, and ``path`` is unchanged. Only a killed process leaves one, which the next block for ``path``
     removes.
 
-    Args:
-        path: the output; its folder is made if it is missing.
-        overwrite: replace an existing file.
-        wait: for another process that writes it, for a minute at most.
+    The folder of ``path`` is made if it is missing; ``wait`` is for another process that writes it, a minute at most.
 
     Raises:
         OutputExistsError: ``path`` exists, and ``overwrite`` is false.
@@ -294,14 +291,7 @@ def locked(output: Path, wait: bool = False, kind: str = "lock") -> Iterator[Non
 
     The lock file ``.NAME.KIND`` is removed at the end. That of a killed process locks nothing: the system releases it.
 
-    Args:
-        output: the file or folder.
-        wait: for another process, for a minute at most.
-        kind: of the lock; locks of different kinds exclude nobody.
-
-    Raises:
-        OutputInUseError: another process writes the output.
-        WriteError: the system refuses.
+    Locks of different kinds do not exclude each other. ``wait`` and errors are as of ``atomic_path``.
     """
     from filelock import FileLock, Timeout
 

@@ -37,10 +37,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
 
 
 def normalise_embeddings(embeddings: Tensor | ArrayLike) -> Tensor:
-    """Return [R, D] float32: every row scaled to unit norm; rows of norm zero stay zero.
-
-    Args, raises: as ``float_rows``.
-    """
+    """Return ``float_rows`` scaled to unit norm, [R, D] float32; rows of norm zero stay zero."""
     rows = float_rows(embeddings, "embeddings")
     # Twice: the square of a very small or large number may leave the range of float32.
     rows = rows / torch.clamp(rows.abs().amax(1, keepdim=True), min=torch.finfo(torch.float32).tiny)
