@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from scoup.base import InputError, ScoupError, check_output, staged
+from scoup.base import InputError, ScoupError, check_output, listed, staged
 from scoup.io.reading import existing_folder
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
@@ -58,13 +58,13 @@ class RegionStore:
             foreign = [stem + ending for ending in endings for stem in view_stems(folder, ending)]
             if foreign:
                 raise InputError(
-                    f"{folder}: contains region features that were not made by scoup ({foreign[0]}"
-                    f"{', ...' if len(foreign) > 1 else ''}); choose another folder, or move them away"
+                    f"{folder}: contains region features that were not made by scoup ({listed(foreign, 1)}); choose "
+                    "another folder, or move them away"
                 )
         elif there != manifest and not overwrite:
-            listed = "; ".join(manifest.differences(there))
+            differences = "; ".join(manifest.differences(there))
             raise InputError(
-                f"{folder}: contains region features made with other settings ({listed}); use the same settings, "
+                f"{folder}: contains region features made with other settings ({differences}); use the same settings, "
                 "choose another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
