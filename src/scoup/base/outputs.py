@@ -348,18 +348,15 @@ def staged(
         yield hidden
         written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in written]
-        _move(hidden, folder, [*first, *(file for file in written if file not in files)], overwrite)
+        ordered = [*first, *(file for file in written if file not in files)]
+        # Another program may have written meanwhile.
+        check_output(*(folder / file for file in ordered), overwrite=overwrite)
+        for file in ordered:
+            _flush_content(hidden / file)
+        for file in ordered:
+            make_folder((folder / file).parent, folder / file)
+            os.replace(hidden / file, folder / file)
+        for parent in {(folder / file).parent for file in ordered}:
+            _flush_names(parent)
         for path in stale:
             remove(path)
-
-
-def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
-    # Another program may have written meanwhile.
-    check_output(*(folder / file for file in files), overwrite=overwrite)
-    for file in files:
-        _flush_content(hidden / file)
-    for file in files:
-        make_folder((folder / file).parent, folder / file)
-        os.replace(hidden / file, folder / file)
-    for parent in {(folder / file).parent for file in files}:
-        _flush_names(parent)
