@@ -19,9 +19,10 @@ import torch
 from children import child
 from io_samples import save_langsplat
 from scoup.cli import main
-from scoup.io import save_gaussians, save_png, write_colmap
+from scoup.io import save_gaussians, save_png
 from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.raster import render_colors
+from scoup_lab.data.colmap_model import write_colmap
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")

@@ -19,10 +19,11 @@ import torch
 from cli_support import run
 from io_samples import save_langsplat
 from scoup.archive import Archive
-from scoup.io import convert_regions, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.io import convert_regions, load_gaussians, save_gaussians, save_png
 from scoup.models import CANONICAL_PHRASES, WordTable
 from scoup.query import LanguageField
 from scoup.scene import Gaussians
+from scoup_lab.data.colmap_model import write_colmap
 from support import random_gaussians, small_scene, unit
 
 FORMATS = Path(__file__).parent / "frozen" / "formats"

@@ -24,8 +24,8 @@ def test_lengths_are_in_metres_once_a_metre_is_known() -> None:
 
 @pytest.mark.parametrize("frame", [WorldFrame(), PLACE, WorldFrame(up=(0.0, -1.0, 0.0))])
 def test_the_record_keeps_every_bit(frame: WorldFrame) -> None:
-    assert WorldFrame.of_dict(frame.to_dict()) == frame
-    assert WorldFrame.of_dict({**frame.to_dict(), "of a newer version": 1}) == frame
+    assert WorldFrame.of_header(frame.entry()) == frame
+    assert WorldFrame.of_header({"frame": {**frame.to_dict(), "of a newer version": 1}}) == frame
 
 
 @pytest.mark.parametrize("record", [
@@ -33,7 +33,7 @@ def test_the_record_keeps_every_bit(frame: WorldFrame) -> None:
 ])  # fmt: skip
 def test_a_damaged_record_is_refused(record: dict[str, Any]) -> None:
     with refuses():
-        WorldFrame.of_dict(record)
+        WorldFrame.of_header({"frame": record})
 
 
 @pytest.mark.parametrize("values", [

@@ -19,11 +19,11 @@ from cli_support import WORDS, add_words, printed, refused, run, run_json
 from query.planted_room import planted_room
 from query.test_named import names_of, with_names
 from scoup.cli import command
-from scoup.io import write_colmap
 from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.raster import render_colors
 from scoup.scene import Cameras
+from scoup_lab.data.colmap_model import write_colmap
 from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")

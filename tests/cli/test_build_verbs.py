@@ -16,7 +16,7 @@ from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, sna
 from messages import check_message
 from scoup.base import Registry
 from scoup.extract import lacks_views
-from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png
 from scoup.io.splats import formats
 from scoup.io.splats.ply import FORMAT, read_ply
 from scoup.io.splats.splat_format import SplatFormat
@@ -24,6 +24,7 @@ from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Cameras, Gaussians
 from scoup.uplift.settings import BUILD_PRESETS
+from scoup_lab.data.colmap_model import write_colmap
 from uplift.edits import joined
 
 pytestmark = pytest.mark.usefixtures("here")

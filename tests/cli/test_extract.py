@@ -21,12 +21,12 @@ from scoup.io import (
     load_gaussians,
     load_regions,
     save_gaussians,
-    write_colmap,
 )
 from scoup.io.regions.manifest import MANIFEST
 from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections
+from scoup_lab.data.colmap_model import write_colmap
 
 pytestmark = pytest.mark.usefixtures("here")
 

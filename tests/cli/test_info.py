@@ -16,8 +16,9 @@ from PIL import Image
 
 from cli_support import BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from io_samples import write_inria_cameras
-from scoup.io import PlyTable, load_cameras, load_gaussians, save_gaussians, write_colmap, write_transforms
+from scoup.io import PlyTable, load_cameras, load_gaussians, save_gaussians, write_transforms
 from scoup.scene import Cameras
+from scoup_lab.data.colmap_model import write_colmap
 
 pytestmark = pytest.mark.usefixtures("here")
 

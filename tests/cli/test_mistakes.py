@@ -19,9 +19,10 @@ import torch
 from cli_support import BUILD, FREE, refused, run, write_scene
 from io_samples import write_inria_cameras
 from messages import check_message
-from scoup.io import load_cameras, load_gaussians, save_gaussians, write_colmap
+from scoup.io import load_cameras, load_gaussians, save_gaussians
 from scoup.query import LanguageField
 from scoup.scene import Cameras
+from scoup_lab.data.colmap_model import write_colmap
 from support import make_camera, random_gaussians
 
 PLY, PHOTO, TABLE = "scene/point_cloud.ply", "scene/images/view_01.png", "scene/words.npz"

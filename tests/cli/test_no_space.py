@@ -27,6 +27,7 @@ from scoup.io import load_gaussians, save_gaussians
 from scoup.models import WordTable
 from scoup.scene import Cameras, Gaussians, Regions
 from scoup.uplift import BuildSettings, build
+from scoup_lab.data.colmap_model import write_colmap
 from support import small_scene
 
 resource = pytest.importorskip("resource")
@@ -200,7 +201,7 @@ def test_sixteen_open_files_are_enough() -> None:
 
 Scene = tuple[Gaussians, Cameras, Regions]
 WRITERS: dict[str, Callable[[Scene], object]] = {
-    "colmap/cameras.bin": lambda scene: scoup_io.write_colmap(scene[1], "colmap"),
+    "colmap/cameras.bin": lambda scene: write_colmap(scene[1], "colmap"),
     "transforms.json": lambda scene: scoup_io.write_transforms(scene[1], "transforms.json"),
     "features/regions.json": lambda scene: scoup_io.save_regions(scene[2], "features"),
     "words.npz": lambda _: WordTable.save("words.npz", ["a", "b"], torch.eye(2)),

@@ -20,8 +20,8 @@ from scoup.extract.photograph_choice import (
     sharpness,
     total_wanted,
 )
-from scoup.io import write_colmap
 from scoup.scene import Camera, Gaussians
+from scoup_lab.data.colmap_model import write_colmap
 from support import unit
 
 SHARP = torch.ones(14)

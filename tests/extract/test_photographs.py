@@ -25,8 +25,9 @@ from scoup.extract.photographs import (
     read_ahead,
     read_photograph,
 )
-from scoup.io import load_image, save_gaussians, write_colmap
+from scoup.io import load_image, save_gaussians
 from scoup.scene import Camera, Cameras
+from scoup_lab.data.colmap_model import write_colmap
 from support import make_camera
 
 IMAGE = smooth_image(20, 30)

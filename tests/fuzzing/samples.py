@@ -41,10 +41,8 @@ from scoup.io import (
     DetectionStore,
     PlyTable,
     RegionManifest,
-    as_stored,
     save_gaussians,
     save_png,
-    write_colmap,
     write_gltf,
     write_transforms,
 )
@@ -55,6 +53,7 @@ from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections, Gaussians
 from scoup.uplift import region_sums
+from scoup_lab.data.colmap_model import write_colmap
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs
@@ -166,7 +165,7 @@ def _write_fields(folder: Path) -> None:
     field.geometry_path = None
     field.save(folder / "a.scoup", embed_geometry=True)
     field.save(folder / "bytes.scoup", embed_geometry=True, weight_bits=8)
-    stored = as_stored(field.gaussians)
+    stored = PlyTable.of(field.gaussians).gaussians()[0]
     save_gaussians(stored, folder / "linked.ply")
     info = replace(field.info, fingerprint=stored.fingerprint())
     codes = (field.code_indices, field.code_weights, field.codebook)

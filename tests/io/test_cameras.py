@@ -31,12 +31,13 @@ from io_samples import (
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.extract import find_photographs
-from scoup.io import load_cameras, read_points, read_tracks, write_colmap, write_transforms
+from scoup.io import load_cameras, read_points, read_tracks, write_transforms
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.reading import read_text
 from scoup.scene import Cameras
+from scoup_lab.data.colmap_model import write_colmap
 
 ALONE = pytest.mark.filterwarnings("ignore:.*using the cameras alone")
 POINTS = np.random.default_rng(0).normal(size=(4, 3)), np.arange(12, dtype=np.uint8).reshape(4, 3)

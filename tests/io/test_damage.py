@@ -36,7 +36,7 @@ from io_samples import (
 from messages import refuses
 from scoup.base import FileFormatError, MissingFileError
 from scoup.io import load_cameras, load_regions, read_tracks
-from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
+from scoup.io.cameras.colmap import read_colmap, read_points
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
@@ -44,6 +44,7 @@ from scoup.io.images import image_size
 from scoup.io.regions.manifest import MANIFEST
 from scoup.io.similarity import read_similarity
 from scoup.scene import LEVELS
+from scoup_lab.data.colmap_model import write_colmap
 from scoup_lab.data.labelled_points import read_labelled_ply
 
 CAMERA = some_cameras(1)

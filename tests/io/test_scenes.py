@@ -22,19 +22,18 @@ from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
 from scoup.io import (
-    as_stored,
+    PlyTable,
     load_cameras,
     load_gaussians,
     load_image,
     save_gaussians,
     splat_source,
-    write_colmap,
     write_transforms,
 )
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.scenes import camera_photographs
-from scoup.io.splats.ply import PlyTable
 from scoup.scene import sanity_problems
+from scoup_lab.data.colmap_model import write_colmap
 
 
 def colmap_scene(
@@ -184,7 +183,7 @@ def test_no_cameras(tmp_path):
 
 
 def test_gaussians_of_every_kind(tmp_path):
-    gaussians = as_stored(some_gaussians(5, degree=1))
+    gaussians = PlyTable.of(some_gaussians(5, degree=1)).gaussians()[0]
     save_gaussians(gaussians, tmp_path / "a.ply")
     assert same_gaussians(load_gaussians(tmp_path / "a.ply"), gaussians)
     assert same_gaussians(load_gaussians(tmp_path), gaussians)

@@ -32,13 +32,13 @@ from scoup.io import (
     load_gaussians,
     save_gaussians,
     splat_source,
-    write_colmap,
     write_transforms,
 )
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
 from scoup.scene import Cameras, Gaussians
+from scoup_lab.data.colmap_model import write_colmap
 
 
 def save_nerfstudio(given: Gaussians, path: Path, older: bool = False) -> None:

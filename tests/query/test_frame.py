@@ -101,7 +101,7 @@ def test_the_camera_that_sees_most_is_the_viewer() -> None:
 def test_what_is_no_direction_is_refused() -> None:
     for up in ((0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)):
         with refuses():
-            WorldFrame.of_dict({"up": up})
+            WorldFrame.of_header({"frame": {"up": up}})
 
 
 SIDES = np.linalg.qr([[0.2, 1.0, 0.3], [-0.9, 0.0, 0.4], [0.4, 0.0, 1.0]])[0].T

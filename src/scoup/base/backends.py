@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import re
 from collections.abc import Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -22,7 +21,6 @@ from scoup.base.native import missing_reason, native_core, warn_if_missing
 if TYPE_CHECKING:
     import torch
 
-OLDEST_TRITON = (3, 3)  # 3.0 to 3.2 end the process while they compile the kernels
 LEAST_CAPABILITY = (8, 0)  # older GPUs have too little shared memory for a program
 
 _DEVICES = {"native": "cpu", "triton": "cuda"}  # torch calls AMD's GPUs "cuda", too
@@ -75,25 +73,16 @@ def require_backend(name: str, device: torch.device) -> None:
 
 
 def triton_problem(device: torch.device) -> str | None:
-    """Return a sentence: why Triton kernels cannot serve tensors on this device. None if they can.
-
-    Imports triton, if it is there.
-    """
+    """Return a sentence: why Triton kernels cannot serve tensors on this device. None if they can."""
     import torch
 
     try:
-        import triton
+        import triton  # noqa: F401
     except ImportError:
         return "triton is not installed (pip install triton)"
-    if _numbers(triton.__version__) < OLDEST_TRITON:
-        return f"triton {triton.__version__} is too old, 3.3 is needed: update torch to 2.7 or newer"
     if device.type == "cuda" and torch.version.hip is None:
         capability = torch.cuda.get_device_capability(device)
         if capability < LEAST_CAPABILITY:
             actual, needed = (".".join(map(str, numbers)) for numbers in (capability, LEAST_CAPABILITY))
             return f"{device} has compute capability {actual}, the kernels need {needed} (Ampere) or newer"
     return None
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(map(int, re.findall(r"\d+", version)[:2]))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copyreg
 import difflib
 import errno
 import functools
 import stat
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +17,14 @@ Entry = TypeVar("Entry")
 
 NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
 """Errors of the system for a write without space: the disk, the quota or the largest file size is full."""
+_REMEDIES = {
+    **dict.fromkeys(NO_SPACE, "free some space, or choose another place"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "raise the limit of open files (ulimit -n)"),
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EIO: "check its disk or network drive, and retry",
+    getattr(errno, "ESTALE", errno.EIO): "check its disk or network drive, and retry",
+}
+"""What the user can do about an error of the system."""
 
 
 class ScoupError(Exception):
@@ -29,18 +38,18 @@ class ScoupError(Exception):
         nothing.ply: there is no such file or folder (a trained splat was expected); check the path
     """
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # By its state: most classes make their message of other arguments than their ``args``.
+        new = copyreg.__newobj__  # pyright: ignore[reportAttributeAccessIssue]
+        return new, (type(self),), {"args": self.args, **vars(self)}
+
 
 class InputError(ScoupError, ValueError):
     """A value or a file that cannot be used."""
 
 
 class FileFormatError(InputError):
-    """A file whose contents are not what they should be.
-
-    Args:
-        problem: what is wrong with it.
-        remedy: what the user can do.
-    """
+    """A file whose contents are not what they should be: the problem with it, and what the user can do."""
 
     def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
         self.path = Path(path)
@@ -48,46 +57,24 @@ class FileFormatError(InputError):
         self.remedy = remedy
         super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.problem, self.remedy)
-
     @staticmethod
     def unreadable(path: str | Path, error: OSError) -> FileFormatError:
         """Return the error of a file that was found, and that the system then refuses to read."""
         if isinstance(error, FileNotFoundError):
             return FileFormatError(path, "disappeared while being read", "restore it and retry")
-        remedy = remedy_of(error) or "check its permissions"
+        remedy = _REMEDIES.get(error.errno or 0, "check its permissions")
         return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
 
 
-def remedy_of(error: OSError) -> str:
-    """Return what the user can do about an error of the system; "" where that is not known."""
-    if error.errno in NO_SPACE:
-        return "free some space, or choose another place"
-    if error.errno in (errno.EMFILE, errno.ENFILE):
-        return "raise the limit of open files (ulimit -n)"
-    if error.errno == errno.ENAMETOOLONG:
-        return "choose a shorter name"
-    if error.errno in (errno.EIO, getattr(errno, "ESTALE", errno.EIO)):
-        return "check its disk or network drive, and retry"
-    return ""
-
-
 class FieldVersionError(FileFormatError):
-    """A language field, or another file of ours, in a version of its format that this software does not know yet.
-
-    Args:
-        newest: version that this software reads.
-    """
+    """A language field, or another file of ours, in a version of its format that this software does not know yet; it
+    reads up to ``newest``."""
 
     def __init__(self, path: str | Path, version: int, newest: int) -> None:
         self.version = version
         self.newest = newest
         problem = f"was written by a newer SCOUP (format version {version}, this one reads up to {newest})"
         super().__init__(path, problem, "update it: pip install -U scoup")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.version, self.newest)
 
 
 def check_format_version(path: str | Path, version: object, newest: int) -> None:
@@ -118,20 +105,12 @@ class MissingFileError(FileFormatError, FileNotFoundError):
     def of(
         cls, path: str | Path, what: str, remedy: str = "check the path", kind: str = "file"
     ) -> MissingFileError:
-        """Return the error of a path that is not a file, or not a folder: nothing is there, or something else.
-
-        Args:
-            what: was expected.
-            kind: "file" or "file or folder".
-        """
-        special = {stat.S_ISDIR: "folder", stat.S_ISFIFO: "named pipe (FIFO)", stat.S_ISSOCK: "socket",
-                   stat.S_ISCHR: "device", stat.S_ISBLK: "device"}  # fmt: skip
-        try:
-            mode = Path(path).stat().st_mode
-        except (OSError, ValueError):
-            mode = 0
-        for is_kind, name in special.items():
-            if is_kind(mode):
+        """Return the error of a path at which ``what`` was expected, a "file", "folder" or "file or folder", and where
+        nothing is, or something else."""
+        names = {stat.S_IFDIR: "folder", stat.S_IFREG: "file", stat.S_IFIFO: "named pipe (FIFO)",
+                 stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device"}  # fmt: skip
+        with suppress(OSError, ValueError):
+            if name := names.get(stat.S_IFMT(Path(path).stat().st_mode)):
                 return cls(path, f"is a {name}, not {what}", remedy)
         return cls(path, f"there is no such {kind} ({what} was expected)", remedy)
 
@@ -143,17 +122,9 @@ class OutputExistsError(ScoupError, FileExistsError):
         self.path = Path(path)
         super().__init__(f"{path}: already exists; pass `overwrite=True` to replace it")
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path,)
-
 
 class WriteError(InputError):
-    """An output that the system refuses to write, such as on a full disk.
-
-    Args:
-        reason: the system's.
-        remedy: what the user can do.
-    """
+    """An output that the system refuses to write, such as on a full disk; the reason is the system's."""
 
     def __init__(self, path: str | Path, reason: str, remedy: str = "") -> None:
         self.path = Path(path)
@@ -161,13 +132,10 @@ class WriteError(InputError):
         self.remedy = remedy
         super().__init__(f"{path}: cannot be written ({reason})" + (f"; {remedy}" if remedy else ""))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.reason, self.remedy)
-
     @classmethod
     def of(cls, path: str | Path, error: OSError) -> WriteError:
         """Return the error of an output for one of the system."""
-        return cls(path, error.strerror or str(error), remedy_of(error))
+        return cls(path, error.strerror or str(error), _REMEDIES.get(error.errno or 0, ""))
 
     def at(self, path: Path) -> WriteError:
         """Return the same error for the output that a temporary file would have become."""
@@ -183,20 +151,10 @@ class OutputInUseError(InputError):
             f"{path}: is being written by another process; wait for it, or choose another output"
         )
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path,)
-
 
 class UnknownNameError(InputError, KeyError):
-    """A word, camera or level that is not in the set searched. The message lists the nearest names.
-
-    Args:
-        kind: what was searched, for example "camera".
-        name: the name that is not there.
-        known: the names there are.
-        where: the file or thing that was searched.
-        remedy: what to do, if none of these names is meant.
-    """
+    """A word, camera or level, by its ``kind``, that is not in the set searched: the ``known`` names of a file or thing
+    (``where``). The message lists the nearest names; ``remedy`` is for those who mean none of them."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", remedy: str = "") -> None:
         self.kind = kind
@@ -208,9 +166,6 @@ class UnknownNameError(InputError, KeyError):
         self.message = f"{where and f'{where}: '}no {kind} named {quoted(name)}; nearest names: {listed}"
         self.message += remedy and f"; {remedy}"
         super().__init__(self.message)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.kind, self.name, self.nearest, self.where, self.remedy)
 
     def __str__(self) -> str:  # KeyError would print the repr
         return self.message
@@ -252,12 +207,8 @@ def quoted(text: str) -> str:
 
 def nearest_names(name: str, known: Iterable[str]) -> list[str]:
     """Return the names of ``known`` most similar to ``name``, best first, ignoring case; at most five."""
-    names = list(dict.fromkeys(known))
-    if not names:
-        return []
     wanted = name.lower()
-    ranked = sorted(names, key=lambda item: -_similarity(wanted, item.lower()))
-    return ranked[:5]
+    return sorted(dict.fromkeys(known), key=lambda item: -_similarity(wanted, item.lower()))[:5]
 
 
 def _similarity(wanted: str, candidate: str) -> float:

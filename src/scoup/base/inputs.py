@@ -25,12 +25,7 @@ _MOST_OF_POINTER = 1024  # bytes
 
 
 def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """Return ``path`` if it is a file.
-
-    Raises:
-        MissingFileError: it is not.
-        FileFormatError: see ``refuse_pointer``.
-    """
+    """Return ``path`` if it is a file, and not a pointer (``refuse_pointer``); else raise a MissingFileError."""
     path = Path(path)
     if not os.path.isfile(path):
         raise MissingFileError.of(path, what, remedy)

@@ -37,7 +37,6 @@ class JsonNode:
         return replace(self, value=self.object().get(key), place=location)
 
     def items(self) -> list[JsonNode]:
-        """Return the items of this list."""
         if not isinstance(self.value, list):
             raise self.error("a list")
         return [

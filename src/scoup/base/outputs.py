@@ -77,10 +77,7 @@ def atomic_path(path: str | Path, overwrite: bool = False, wait: bool = False) -
     all that is in it, and ``path`` is unchanged. Only a killed process leaves one, which the next block for ``path``
     removes.
 
-    Args:
-        path: the output; its folder is made if it is missing.
-        overwrite: replace an existing file.
-        wait: for another process that writes it, for a minute at most.
+    The folder of ``path`` is made if it is missing; ``wait`` is for another process that writes it, a minute at most.
 
     Raises:
         OutputExistsError: ``path`` exists, and ``overwrite`` is false.
@@ -158,7 +155,6 @@ def temporary_output(
 
 
 def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:
-    """Rename a complete file to its output."""
     check_output(path, overwrite=overwrite)  # a program that knows no locks may have written it meanwhile
     if flush:
         _flush_content(temporary)
@@ -262,10 +258,7 @@ class _Output(io.BufferedIOBase):
 
 @contextmanager
 def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
-    """Let refusals to write a temporary file or folder name the final output.
-
-    A file that cannot be read in the block is not mistaken for one that cannot be written.
-    """
+    """Let refusals to write a temporary file or folder name the final output, but not those to read a file."""
     try:
         yield
     except WriteError as error:
@@ -298,14 +291,7 @@ def locked(output: Path, wait: bool = False, kind: str = "lock") -> Iterator[Non
 
     The lock file ``.NAME.KIND`` is removed at the end. That of a killed process locks nothing: the system releases it.
 
-    Args:
-        output: the file or folder.
-        wait: for another process, for a minute at most.
-        kind: of the lock; locks of different kinds exclude nobody.
-
-    Raises:
-        OutputInUseError: another process writes the output.
-        WriteError: the system refuses.
+    Locks of different kinds do not exclude each other. ``wait`` and errors are as of ``atomic_path``.
     """
     from filelock import FileLock, Timeout
 
@@ -362,18 +348,15 @@ def staged(
         yield hidden
         written = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
         first = [file for file in files if file in written]
-        _move(hidden, folder, [*first, *(file for file in written if file not in files)], overwrite)
+        ordered = [*first, *(file for file in written if file not in files)]
+        # Another program may have written meanwhile.
+        check_output(*(folder / file for file in ordered), overwrite=overwrite)
+        for file in ordered:
+            _flush_content(hidden / file)
+        for file in ordered:
+            make_folder((folder / file).parent, folder / file)
+            os.replace(hidden / file, folder / file)
+        for parent in {(folder / file).parent for file in ordered}:
+            _flush_names(parent)
         for path in stale:
             remove(path)
-
-
-def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> None:
-    # Another program may have written meanwhile.
-    check_output(*(folder / file for file in files), overwrite=overwrite)
-    for file in files:
-        _flush_content(hidden / file)
-    for file in files:
-        make_folder((folder / file).parent, folder / file)
-        os.replace(hidden / file, folder / file)
-    for parent in {(folder / file).parent for file in files}:
-        _flush_names(parent)

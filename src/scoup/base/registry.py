@@ -35,13 +35,8 @@ EntryOf = TypeVar("EntryOf", bound=Entry)
 class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
     """Entries by name: the project's own, then those that installed packages name as entry points.
 
-    Other packages are looked for on first use. One that cannot be loaded is left out, with a warning.
-
-    Args:
-        what: one of them, for messages.
-        group: of the entry points.
-        kind: class of the entries.
-        built_in: entries of the project.
+    Other packages are looked for on first use. One that cannot be loaded is left out, with a warning. ``what`` names
+    one entry in messages, ``kind`` is its class.
     """
 
     def __init__(self, what: str, group: str, kind: type[EntryOf], built_in: Iterable[EntryOf]) -> None:

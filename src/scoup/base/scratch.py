@@ -58,7 +58,6 @@ def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def refused_temporary(error: OSError) -> WriteError:
-    """Return the error of a temporary file that cannot be written."""
     # tempdir is None where no folder was found that can be used.
     where = f" in {tempfile.tempdir}" if tempfile.tempdir else ""
     remedy = "set the environment variable TMPDIR to a folder with more space"

@@ -68,23 +68,19 @@ class SealedFile:
             self.check_array(name, array, header["checksums"][name])
 
     def check_header(self, checksum: object) -> None:
-        """Compare the header with its checksum."""
         if not (
             isinstance(checksum, str) and _crc32(_replaced(self.text, checksum, NO_CHECKSUM)) == checksum
         ):
             raise FileFormatError(self.path, "is damaged (checksum of the header)", self.remedy)
 
     def check_array(self, name: str, array: NDArray[Any], checksum: object) -> None:
-        """Compare an array with its checksum."""
         if array_checksum(array) != checksum:
             raise FileFormatError(self.path, f"is damaged (checksum of {name})", self.remedy)
 
 
 def array_checksum(array: NDArray[Any]) -> str:
-    """Return the CRC-32 over type, shape and bytes of an array, as eight hexadecimal digits.
-
-    CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
-    """
+    """Return the CRC-32, the fastest checksum of the standard library, over type, shape and bytes of an array, as eight
+    hexadecimal digits."""
     import numpy as np
 
     described = f"{array.dtype} {list(array.shape)}\n".encode()

@@ -66,9 +66,8 @@ def printable(text: str) -> str:
 
 def slug(text: str) -> str:
     """Return a file name for a text: letters, digits, underscores and dashes."""
-    name = "".join(char if char.isalnum() or char == "_" else "-" for char in text.lower()).strip("-")
-    while "--" in name:
-        name = name.replace("--", "-")
+    parts = "".join(char if char.isalnum() or char == "_" else " " for char in text.lower()).split()
+    name = "-".join(parts)
     return name.encode("utf-8", "ignore")[:_MOST_BYTES].decode("utf-8", "ignore") or "text"
 
 

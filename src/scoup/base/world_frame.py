@@ -56,12 +56,14 @@ class WorldFrame:
             object.__setattr__(self, "origin", (latitude, longitude, height))
 
     @classmethod
-    def of_dict(cls, record: Mapping[str, Any]) -> WorldFrame:
-        """Return the frame of ``to_dict``; unknown keys are ignored.
+    def of_header(cls, header: Mapping[str, Any]) -> WorldFrame:
+        """Return the frame that the header of a file has (``entry``), or one of which nothing is known; unknown keys
+        are ignored.
 
         Raises:
             InputError: a value is not what it should be.
         """
+        record = header.get("frame", {})
         values = {name: record[name] for name in asdict(cls()) if record.get(name) is not None}
         try:
             return cls(**values)
@@ -69,12 +71,6 @@ class WorldFrame:
             raise InputError(f"frame: {error}") from error
         except (TypeError, ValueError, OverflowError):
             raise InputError("frame: has values of other types than a frame of the world") from None
-
-    @classmethod
-    def of_header(cls, header: Mapping[str, Any]) -> WorldFrame:
-        """Return the frame that the header of a file has (``entry``), or one of which nothing is known; errors as of
-        ``of_dict``."""
-        return cls.of_dict(header.get("frame", {}))
 
     def entry(self) -> dict[str, Any]:
         """Return its entry in the header of a file; nothing for a frame of which nothing is known."""
@@ -114,10 +110,6 @@ def _unit_vector(name: str, *direction: float) -> Vector:
 
 
 def check_metres(length: float, what: str) -> None:
-    """Refuse a length that is not a number above 0.
-
-    Raises:
-        InputError: it is not; ``what`` names it.
-    """
+    """Refuse a length that is not a number above 0; ``what`` names it."""
     if not 0 < length < math.inf:
         raise InputError(f"{what} must be above 0, got {length}")

@@ -5,7 +5,7 @@ nothing. ``load_...`` finds the format by the contents, ``write_...`` writes one
 """
 
 from scoup.io.camera_images import attach_images
-from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
+from scoup.io.cameras.colmap import read_points, read_tracks
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.descriptions import describe
 from scoup.io.detections import DetectionStore
@@ -25,7 +25,7 @@ from scoup.io.scenes import load_cameras, load_gaussians, save_gaussians
 from scoup.io.similarity import read_similarity
 from scoup.io.splats.formats import is_splat_name, splat_source, written_format
 from scoup.io.splats.gltf_write import write_gltf
-from scoup.io.splats.ply import PlyTable, as_stored
+from scoup.io.splats.ply import PlyTable
 from scoup.io.splats.rotation import spread_directions
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.usd import UsdThing, write_usd
@@ -44,7 +44,6 @@ __all__ = [
     "SplatFormat",
     "UsdThing",
     "ViewRegions",
-    "as_stored",
     "attach_images",
     "convert_regions",
     "describe",
@@ -68,7 +67,6 @@ __all__ = [
     "save_regions",
     "splat_source",
     "spread_directions",
-    "write_colmap",
     "write_gltf",
     "write_transforms",
     "write_usd",

@@ -57,7 +57,10 @@ def attach_images(
         elif misfit := _misfit(camera, size):
             misfits[path] = misfit
         else:
-            attached.append(_resized_to_image(source, camera, path, size, scale / (downscale or scale)))
+            named = camera.name if PurePosixPath(camera.name).suffix else camera.name + path.suffix
+            camera = replace(camera, name=named, image_path=path)
+            enlarge = scale / (downscale or scale)
+            attached.append(_resized(source, camera, size[0] * enlarge, size[1] * enlarge))
     _refuse(misfits)
     if not attached and not unreadable and images is not None:
         named = listed([camera.name for camera in others])
@@ -173,7 +176,6 @@ def _misfit(camera: Camera, size: tuple[int, int]) -> str:
 
 
 def _refuse(misfits: Mapping[Path, str]) -> None:
-    """Refuse images that are not those of their cameras, all at once."""
     if not misfits:
         return
     (first, problem), *others = misfits.items()
@@ -185,15 +187,6 @@ def _refuse(misfits: Mapping[Path, str]) -> None:
         "or remove the folder to use the cameras alone"
     )
     raise FileFormatError(first, "; ".join(named), remedy)
-
-
-def _resized_to_image(
-    source: Path, camera: Camera, path: Path, size: tuple[int, int], enlarge: float
-) -> Camera:
-    if not PurePosixPath(camera.name).suffix:
-        camera = replace(camera, name=camera.name + path.suffix)
-    camera = replace(camera, image_path=path)
-    return _resized(source, camera, size[0] * enlarge, size[1] * enlarge)
 
 
 def _resized(source: Path, camera: Camera, width: float, height: float) -> Camera:

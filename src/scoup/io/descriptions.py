@@ -65,7 +65,6 @@ def _describe_cameras_of(path: Path) -> dict[str, Any]:
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
-    """Return the number, extent, medians and fingerprint of Gaussians."""
     for problem in sanity_problems(gaussians):
         warnings.warn(problem, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
@@ -81,7 +80,6 @@ def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def describe_cameras(cameras: Cameras) -> dict[str, Any]:
-    """Return the number, sizes and names of cameras, and how many have an image or lens distortion."""
     distorted = sum(bool(camera.distortion) for camera in cameras)
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
     return {
@@ -102,10 +100,8 @@ def describe_unreadable(path: Path) -> dict[str, Any]:
 
 
 def describe_regions(store: RegionStore) -> dict[str, Any]:
-    """Return views, sizes, regions and manifest of region features, without the cameras they belong to.
-
-    ``regions`` is their number at each level, or of all levels where headers do not tell them apart.
-    """
+    """Describe region features without their cameras: ``regions`` is their number at each level, or of all levels where
+    headers do not tell them apart."""
     stems = store.stems()
     views = [store.open_view(stem) for stem in stems]
     counts: Counter[str] = Counter()

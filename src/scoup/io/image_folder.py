@@ -164,10 +164,8 @@ def _split(file: str) -> tuple[str, str]:
 
 
 def is_outside(folder: Path, name: str) -> bool:
-    """Return whether a path in a file of a scene, relative to ``folder`` or absolute, leaves that folder.
-
-    Links are not followed: a scene may link to its photographs, which is its owner's choice.
-    """
+    """Return whether a path in a file of a scene, relative to ``folder`` or absolute, leaves that folder. Links are not
+    followed: a scene may link to its photographs."""
     if PureWindowsPath(name).drive:
         return True
     home = os.path.abspath(folder)

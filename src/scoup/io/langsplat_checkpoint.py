@@ -30,8 +30,6 @@ _SHAPES = {  # of a Gaussian; they come first, after the degree
 
 @dataclass(frozen=True, eq=False)
 class LangSplatLevel:
-    """The contents of a checkpoint."""
-
     gaussians: Gaussians
     values: np.ndarray  # [N, V, L] float32 logits of the codes by each of V codebooks; or [N, D] features
     codebooks: np.ndarray | None  # [V, L, D] float32; None for features

@@ -47,11 +47,7 @@ def read_text(path: Path) -> str:
 
 
 def decoded(path: Path, content: bytes) -> str:
-    """Return text of a file, in UTF-8 or else in Windows-1252.
-
-    Warns:
-        ScoupWarning: it is not in UTF-8.
-    """
+    """Return text of a file, in UTF-8 or else, with a warning, in Windows-1252."""
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError:
@@ -160,10 +156,6 @@ def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one 
 
 
 def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """Return ``path`` if it is a folder; else raise a MissingFileError."""
-    path = Path(path)
-    if os.path.isfile(path):
-        raise MissingFileError(path, f"is a file, not {what}", remedy)
     if not os.path.isdir(path):
-        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
-    return path
+        raise MissingFileError.of(path, what, remedy, "folder")
+    return Path(path)

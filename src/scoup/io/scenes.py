@@ -139,7 +139,7 @@ def load_cameras(
 
     Warns:
         ScoupWarning: cameras were skipped because their image is missing or cannot be read, no image was found at all
-            and the cameras stand alone, or there are other models of COLMAP.
+            and the cameras stand alone, names of images leave the scene's folder, or there are other models of COLMAP.
 
     Example:
         >>> len(scoup.load_cameras("scene"))
@@ -166,7 +166,6 @@ def all_cameras(path: str | Path) -> Cameras:
 def _posed_cameras(
     path: str | Path, distorted: Distorted, dataparser_transforms: str | Path | None = None
 ) -> tuple[CameraSource, Cameras]:
-    """Return the cameras of a scene in the frame of its splat."""
     source = _one_source(path)
     if source.others:
         others = ", ".join(f"{other} ({len(model_images(other)):,})" for other in source.others)

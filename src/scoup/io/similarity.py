@@ -15,11 +15,7 @@ REMEDY = "the file should contain 4 rows of 4 numbers: a rotation times a scale,
 
 
 def read_similarity(path: str | Path) -> NDArray[np.float64]:
-    """Return the similarity [4, 4] of a text or JSON file.
-
-    Raises:
-        FileFormatError: the file contains something else.
-    """
+    """Return the similarity [4, 4] of a text or JSON file; a FileFormatError if it contains something else."""
     path = existing_file(path, "a transform")
     text = read_text(path)
     try:

@@ -22,12 +22,10 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 @lru_cache(256)
 def font(size: float) -> Font:
-    """Return Pillow's own font."""
     return ImageFont.load_default(size)
 
 
 def text_width(text: str, face: Font) -> int:
-    """Return the width of a text in pixels."""
     return int(face.getlength(text) + 0.999)
 
 

@@ -45,7 +45,6 @@ def regions_sheet(
 
 
 def _which(written: int, count: int) -> str:
-    """Return a remark on the regions without a number, if there are any."""
     if written == count:
         return ""
     return f", numbers on the {written} with room" if written else ", no room for numbers"

@@ -37,10 +37,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
 
 
 def normalise_embeddings(embeddings: Tensor | ArrayLike) -> Tensor:
-    """Return [R, D] float32: every row scaled to unit norm; rows of norm zero stay zero.
-
-    Args, raises: as ``float_rows``.
-    """
+    """Return ``float_rows`` scaled to unit norm, [R, D] float32; rows of norm zero stay zero."""
     rows = float_rows(embeddings, "embeddings")
     # Twice: the square of a very small or large number may leave the range of float32.
     rows = rows / torch.clamp(rows.abs().amax(1, keepdim=True), min=torch.finfo(torch.float32).tiny)
@@ -111,11 +108,7 @@ def quats_of_rotations(rotations: Tensor) -> Tensor:
 
 
 def checked_direction(up: Sequence[float]) -> Tensor:
-    """Return [3] float64, the unit vector of a direction.
-
-    Raises:
-        InputError: it is none.
-    """
+    """Return [3] float64, the unit vector of a direction; an InputError if it is none."""
     direction = torch.as_tensor(tuple(up), dtype=torch.float64).flatten()
     if direction.shape != (3,) or not bool(direction.isfinite().all()) or not bool(direction.any()):
         raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")

@@ -224,8 +224,7 @@ class Regions:
         """
         names = tuple(view_names)
         for name in names:
-            if name not in self:
-                raise UnknownNameError("view with regions", name, self.view_names)
+            self._check(name)
         return Regions(self.levels, names, self._load, self._load_embeddings, self._load_labels)
 
     def _check(self, view_name: str, level: str | None = None) -> None:

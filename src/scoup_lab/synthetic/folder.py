@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from scoup.base import Progress, no_progress, staged, write_text
-from scoup.io import save_gaussians, save_png, save_regions, write_colmap, write_transforms
+from scoup.io import save_gaussians, save_png, save_regions, write_transforms
 from scoup.models import WordTable
 from scoup.raster import render_colors
 from scoup.scene import LEVELS, SH_C0, Camera
+from scoup_lab.data.colmap_model import write_colmap
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.masks import mask_polygons
 from scoup_lab.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene

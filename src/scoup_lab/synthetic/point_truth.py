@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.io import as_stored
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints, write_labelled_ply
 from scoup_lab.synthetic.scene import DemoScene, with_texts
 from scoup_lab.synthetic.words import TEXT_MEAN, unit
@@ -32,8 +31,7 @@ def write_scannet_truth(scene: DemoScene, folder: Path) -> None:
     classes = classes_of_gaussians(scene)
     real = scene.part_of_gaussian >= 0
     labels = torch.where(real & (classes == _NONE), NYU40.index("otherprop"), classes.clamp(min=0))
-    # At the places in the splat's file, where positions are frozen.
-    points = LabelledPoints(as_stored(scene.gaussians).means, labels)
+    points = LabelledPoints(scene.gaussians.means, labels)
     write_labelled_ply(points, folder / f"{folder.name}_vh_clean_2.labels.ply")
 
 

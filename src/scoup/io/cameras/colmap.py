@@ -10,12 +10,12 @@ from types import ModuleType
 import numpy as np
 import torch
 
-from scoup.base import FileFormatError, MissingFileError, atomic_file, staged
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
-from scoup.scene import Cameras, quats_of_rotations, rotation_matrices
+from scoup.scene import Cameras, rotation_matrices
 
 _FILES = ("cameras", "images")
 _PARSERS = {".bin": colmap_binary, ".txt": colmap_text}
@@ -46,9 +46,6 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
     SIMPLE_PINHOLE and PINHOLE are read as they are; SIMPLE_RADIAL, RADIAL and OPENCV count as pinhole if
     their coefficients are zero, and otherwise need ``distorted="undistort"``; other models are refused.
-
-    Warns:
-        ScoupWarning: names of images leave the folder of images.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
     end = _ending(folder)
@@ -103,31 +100,6 @@ def _points_of(folder: str | Path) -> tuple[ModuleType, Path]:
         if (folder / f"points3D{end}").is_file():
             return parser, folder / f"points3D{end}"
     raise MissingFileError(folder, "contains no points3D.bin or points3D.txt", "use the folder sparse/0")
-
-
-def write_colmap(
-    cameras: Cameras,
-    folder: str | Path,
-    points: tuple[np.ndarray, np.ndarray] | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Write a binary COLMAP model of PINHOLE cameras, and of points without tracks: [P, 3] positions and [P, 3] uint8
-    colours."""
-    lenses: dict[Lens, int] = {}
-    shots = []
-    for number, camera in enumerate(cameras, start=1):
-        lens = Lens("PINHOLE", camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
-        number_of_lens = lenses.setdefault(lens, len(lenses) + 1)
-        quaternion = quats_of_rotations(camera.viewmat[None, :3, :3])[0]
-        pose = tuple(quaternion.tolist()), tuple(camera.viewmat[:3, 3].tolist())
-        shots.append(Shot(number, camera.name, number_of_lens, *pose))
-    positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
-    numbered = {identifier: lens for lens, identifier in lenses.items()}
-    contents = colmap_binary.model_files(numbered, shots, positions, colors)
-    with staged(Path(folder), list(contents), overwrite) as hidden:
-        for name, content in contents.items():
-            with atomic_file(hidden / name) as stream:
-                stream.write(content)
 
 
 def _pinhole(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -104,23 +103,3 @@ def read_points(path: Path) -> Points:
         lengths[row] = values[8]
         tracks += cursor.data[start : cursor.position]
     return Points(positions, colors, lengths, np.frombuffer(tracks, "<u4")[::2])
-
-
-def model_files(
-    lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
-) -> dict[str, bytes]:
-    """Return the contents of cameras.bin, images.bin and points3D.bin."""
-    cameras = [struct.pack("<Q", len(lenses))]
-    for identifier, lens in lenses.items():
-        cameras.append(_LENS.pack(identifier, MODEL_NAMES.index(lens.model), lens.width, lens.height))
-        cameras.append(struct.pack(f"<{len(lens.parameters)}d", *lens.parameters))
-    images = [struct.pack("<Q", len(shots))]
-    for shot in shots:
-        images.append(_SHOT.pack(shot.number, *shot.quaternion, *shot.translation, shot.lens))
-        images.append(shot.name.encode("utf-8") + b"\0" + struct.pack("<Q", 0))
-    points = [struct.pack("<Q", len(positions))]
-    numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
-    for identifier, (position, color) in numbered:
-        points.append(_POINT.pack(identifier, *position, *color, 0.0, 0))
-    contents = {"cameras.bin": cameras, "images.bin": images, "points3D.bin": points}
-    return {name: b"".join(parts) for name, parts in contents.items()}

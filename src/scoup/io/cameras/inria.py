@@ -36,11 +36,7 @@ _EQUAL_NAMES = (
 
 
 def read_inria_cameras(path: str | Path) -> Cameras:
-    """Read cameras.json, sorted by name. Principal points are the image centres; names may lack an extension.
-
-    Warns:
-        ScoupWarning: names of images leave the file's folder.
-    """
+    """Read cameras.json, sorted by name. Principal points are the image centres; names may lack an extension."""
     path = Path(path)
     cameras = []
     for entry in read_json(path, CAMERAS_JSON, _REMEDY).items():

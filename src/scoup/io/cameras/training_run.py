@@ -22,14 +22,12 @@ _KEY = re.compile(r"^( *)data: *(.*)$")
 
 
 def is_nerfstudio_run(folder: str | Path) -> bool:
-    """Return whether a folder is an output of nerfstudio's training."""
     folder = Path(folder)
     beside = (folder / "nerfstudio_models").is_dir() or (folder / TRAINED_FRAME).is_file()
     return (folder / "config.yml").is_file() and beside
 
 
 def is_gsplat_results(folder: str | Path) -> bool:
-    """Return whether a folder is an output of gsplat's trainer."""
     folder = Path(folder)
     return (folder / GSPLAT_CONFIG).is_file() and any((folder / name).is_dir() for name in ("ckpts", "ply"))
 
@@ -86,8 +84,8 @@ def _named_path(text: str) -> str | None:
             parts = _items(lines[number + 1 :], len(matched[1]))
             if parts:
                 return "/".join(parts).replace("//", "/", 1)
-        elif value and not value.startswith(("!", "*", "{", "[")) and value not in ("null", "~"):
-            return value.strip("'\"")
+        elif (path := _scalar(value)) is not None:
+            return path
     return None
 
 
@@ -103,16 +101,15 @@ def _items(lines: list[str], indent: int) -> list[str]:
 
 
 def _plain(text: str, key: str) -> str | None:
-    """Return the plain value of a key at the beginning of a line; None for none."""
+    """Return the scalar of a key at the beginning of a line; None for none."""
     matched = re.search(rf"^{key}: *(.*?) *$", text, re.MULTILINE)
-    if (
-        matched is None
-        or not matched[1]
-        or matched[1] in ("null", "~")
-        or matched[1].startswith(("!", "&", "*", "{"))
-    ):
-        return None
-    return matched[1].strip("'\"")
+    return None if matched is None else _scalar(matched[1])
+
+
+def _scalar(value: str) -> str | None:
+    """Return a scalar of YAML, without its quotes; None for null, and for tags, anchors, aliases and collections."""
+    is_scalar = value and value not in ("null", "~") and not value.startswith(("!", "&", "*", "{", "["))
+    return value.strip("'\"") if is_scalar else None
 
 
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:

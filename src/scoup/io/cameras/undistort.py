@@ -47,8 +47,7 @@ def sample_nearest(values: Tensor, positions: Tensor, outside: int) -> Tensor:
     height, width = values.shape
     inside = _inside(positions, width, height)
     cells = torch.where(inside[..., None], positions, 0.0).floor().long()
-    taken = values[cells[..., 1], cells[..., 0]]
-    return torch.where(inside, taken, torch.full_like(taken, outside))
+    return torch.where(inside, values[cells[..., 1], cells[..., 0]], outside)
 
 
 def sample_bilinear(image: Tensor, positions: Tensor) -> Tensor:

@@ -16,8 +16,6 @@ from scoup.io.regions.views import FEATURES_FOLDER
 
 @dataclass(frozen=True)
 class ConvertReport:
-    """A report of a conversion."""
-
     source: Path
     target: Path
     views: int  # that were converted
@@ -79,7 +77,6 @@ def convert_regions(
 
 
 def _check_target(target: Path) -> None:
-    """Refuse a folder of other files, before anything is written."""
     endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS)
     places = (path.relative_to(target) for path in target.rglob("*") if not path.is_dir())
     others = (file for file in places if not file.name.endswith(endings))

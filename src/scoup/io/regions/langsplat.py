@@ -23,10 +23,7 @@ FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 @dataclass(frozen=True, eq=False)
 class LangSplatView:
-    """A view: the headers of its two files. Arrays are read when they are needed.
-
-    Neither file is kept open. Which rows belong to which level is read from the labels on first use, once.
-    """
+    """A view: the headers of its two files. Arrays are read when they are needed; neither file is kept open."""
 
     folder: Path
     name: str  # stem of the files

@@ -56,7 +56,6 @@ class RegionManifest:
 
     @property
     def bits(self) -> int:
-        """Return the bits of an embedding number."""
         return int(self.settings.get("bits", 16))
 
     @property

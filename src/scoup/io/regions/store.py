@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from scoup.base import InputError, ScoupError, check_output, staged
+from scoup.base import InputError, ScoupError, check_output, listed, staged
 from scoup.io.reading import existing_folder
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
@@ -58,36 +58,31 @@ class RegionStore:
             foreign = [stem + ending for ending in endings for stem in view_stems(folder, ending)]
             if foreign:
                 raise InputError(
-                    f"{folder}: contains region features that were not made by scoup ({foreign[0]}"
-                    f"{', ...' if len(foreign) > 1 else ''}); choose another folder, or move them away"
+                    f"{folder}: contains region features that were not made by scoup ({listed(foreign, 1)}); choose "
+                    "another folder, or move them away"
                 )
         elif there != manifest and not overwrite:
-            listed = "; ".join(manifest.differences(there))
+            differences = "; ".join(manifest.differences(there))
             raise InputError(
-                f"{folder}: contains region features made with other settings ({listed}); use the same settings, "
+                f"{folder}: contains region features made with other settings ({differences}); use the same settings, "
                 "choose another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
         return cls(folder, manifest)
 
     def begin(self, overwrite: bool = False) -> None:
-        """Put the manifest into the folder, before the first view is written.
-
-        Args:
-            overwrite: in place of another one; views made under that one no longer count.
-        """
+        """Put the manifest into the folder, before the first view is written; with ``overwrite`` in place of another
+        one, whose views no longer count."""
         there, manifest = RegionManifest.read(self.folder), self.manifest
         if manifest is not None and (there is None or there != manifest or there.views != manifest.views):
             write_manifest(self.folder, manifest, overwrite or there == manifest)
 
     @property
     def endings(self) -> tuple[str, ...]:
-        """Return the endings of the files of a view."""
         return _LAYOUTS[self.layout].ENDINGS
 
     @property
     def fingerprint(self) -> str:
-        """Return the fingerprint of the manifest; "" without one."""
         return "" if self.manifest is None else self.manifest.fingerprint
 
     def files(self, stem: str) -> list[Path]:
@@ -95,7 +90,6 @@ class RegionStore:
         return [self.folder / f"{stem}{ending}" for ending in self.endings]
 
     def stem_of(self, name: str) -> str:
-        """Return the stem of the files of an image."""
         return _LAYOUTS[self.layout].stem_of(name)
 
     def check_names(self, names: Iterable[str]) -> None:
@@ -160,12 +154,7 @@ class RegionStore:
         return (view.manifest, view.photograph) == (self.fingerprint, photograph)
 
     def write(self, regions: ViewRegions, stem: str | None = None, overwrite: bool = False) -> int:
-        """Write a view; returns the bytes of its files.
-
-        Args:
-            stem: of the files; that of the view's name if None.
-            overwrite: in place of an older one.
-        """
+        """Write a view, and return the bytes of its files; ``stem`` is by default that of the view's name."""
         stem = self.stem_of(regions.name) if stem is None else stem
         kind = np.float16 if self.manifest is None or self.manifest.bits == 16 else np.float32
         rows = {level: item.astype(kind) for level, item in regions.embeddings.items()}
@@ -174,7 +163,6 @@ class RegionStore:
         return self.size_of(stem)
 
     def size_of(self, stem: str) -> int:
-        """Return bytes of the files of a view."""
         return sum(path.stat().st_size for path in self.files(stem))
 
 

@@ -41,10 +41,8 @@ def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
 
 
 def match_stems(wanted: Iterable[str], there: Iterable[str]) -> dict[str, str]:
-    """Return stems of files by the stems of images that have no file of their own, and which can only mean these.
-
-    They are in another Unicode form, or one of both has no folders (as LangSplat's) or is cut at its first dot.
-    """
+    """Return stems of files by the stems of images that have no file of their own, and which can only mean these:
+    in another Unicode form, or one of both has no folders (as LangSplat's) or is cut at its first dot."""
     exact: dict[str, list[str]] = defaultdict(list)
     cut: dict[str, list[str]] = defaultdict(list)
     for stem in there:

@@ -167,7 +167,6 @@ def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) -> None:
-    """Warn that some rows of a splat were dropped."""
     warnings.warn(
         f"{source}: dropped {dropped:,} of {counted(total, 'Gaussian')} with values that are not finite, or "
         "without a rotation (a quaternion of zeros)",

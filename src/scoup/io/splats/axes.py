@@ -49,7 +49,6 @@ def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
 
 
 def turned_world(world: WorldFrame, axis: Axis) -> WorldFrame:
-    """Return a frame for Gaussians turned by 180 degrees."""
     return replace(world, **{
         name: turned_direction(direction, axis)
         for name in ("up", "north") if (direction := getattr(world, name)) is not None
@@ -66,7 +65,6 @@ def upright(world: WorldFrame, axis: Axis) -> np.ndarray:
 
 
 def turned_direction(direction: Sequence[float], axis: Axis) -> tuple[float, ...]:
-    """Return a direction in axes turned by 180 degrees."""
     return tuple(value if name == axis else -value for name, value in zip("xyz", direction, strict=True))
 
 

@@ -29,7 +29,6 @@ FORMATS = Registry("splat format", "scoup.splat_formats", SplatFormat, (
 ))  # fmt: skip
 """All formats; in a folder the first that finds a splat is taken."""
 
-_CONVERTED = (".lcc",)  # by splat-transform
 _NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
 _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
 
@@ -112,9 +111,9 @@ def other_format(path: Path) -> tuple[str, str] | None:
         entries = zipfile.ZipFile(path).namelist() if suffix == ".npz" else content
         if kind := foreign_kind(entries if isinstance(entries, (dict, list)) else ()):
             return kind
-    if suffix in _CONVERTED:
+    if suffix == ".lcc":
         return (
-            f"splats in {suffix} files are not read",
+            "splats in .lcc files are not read",
             f"convert it with splat-transform (splat-transform {path.name} {path.stem}.ply), or open it in the "
             "SuperSplat editor and export a PLY",
         )
@@ -134,7 +133,6 @@ def other_format(path: Path) -> tuple[str, str] | None:
 
 
 def _only_splat(folder: Path) -> SplatSource:
-    """Return the only splat in a folder."""
     splats = []
     for file in sorted(folder.iterdir()):
         kind = format_of(file)

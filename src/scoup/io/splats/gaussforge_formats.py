@@ -52,7 +52,6 @@ with open(target, "wb") as stream:
 
 
 def read_through_gaussforge(path: str | Path) -> Gaussians:
-    """Read a .ksplat or .sog file."""
     path = existing_file(path, "a splat")
     gaussians = _converted(path, path, path.suffix.lower()[1:])
     if path.suffix.lower() == _KSPLAT:
@@ -92,12 +91,10 @@ def _converted(path: Path, source: Path, kind: str) -> Gaussians:
 
 
 def _is_sog(path: Path) -> bool:
-    """Return whether a file is named and placed as the meta.json of a SOG."""
     return path.name == _META and any(path.parent.glob("*.webp"))
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a .ksplat or .sog file."""
     path = Path(path)
     if path.suffix.lower() == _KSPLAT:
         if gaussians.sh_degree > 2:
@@ -138,7 +135,7 @@ def _reordered_for_ksplat(sh: Tensor, inverse: bool = False) -> Tensor:
 
 def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
     """Return whether gaussforge has converted a file, in a process of its own."""
-    if not _is_installed():
+    if importlib.util.find_spec("gaussforge") is None:
         raise ScoupError(f".{wanted if kind == 'ply' else kind} {HOW_TO_GET_IT}")
     size = source.stat().st_size
     memory = _LEAST_MEMORY + _MEMORY_A_BYTE * size
@@ -151,13 +148,6 @@ def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
             source, f"takes gaussforge more than {seconds:.0f} seconds", _WHAT_IT_IS
         ) from None
     return done.returncode == 0 and target.is_file()
-
-
-def _is_installed() -> bool:
-    try:
-        return importlib.util.find_spec("gaussforge") is not None
-    except ValueError:  # it was tried before, in vain
-        return False
 
 
 KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge, extra="splats")

@@ -41,13 +41,6 @@ def read_gltf(path: str | Path) -> Gaussians:
 
     Buffers may be inside, or in files beside or below it. Values are kept bit by bit, but for positions that nodes
     translate. Nodes that rotate or scale them become the frame of the world: its up, and the metres of its unit.
-
-    Raises:
-        FileFormatError: the file is damaged, several nodes contain Gaussians, or a node mirrors or shears them.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite (or no rotation) were dropped, or the file asks for
-            another kernel, colour space, projection or sorting than Gaussians here have.
     """
     document = read_document(path)
     for name in _names(document.root, "extensionsRequired"):
@@ -125,7 +118,6 @@ def _placed_splats(document: GltfDocument) -> tuple[list[JsonNode], WorldFrame, 
 
 
 def _splat_primitives(mesh: JsonNode) -> list[JsonNode]:
-    """Return the primitives of a mesh that hold Gaussians."""
     return [
         item
         for item in mesh.get("primitives").items()
@@ -218,7 +210,6 @@ def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
 
 
 def _packed_columns(document: GltfDocument, content: bytes) -> Columns:
-    """Return the values of a primitive that is a .spz file."""
     _, columns = spz_columns(document.path, content)
     if columns["sh"].shape[1] > (SH_DEGREE + 1) ** 2:
         problem = f"has SH of a degree above {SH_DEGREE}, which glTF does not know"

@@ -43,12 +43,7 @@ def sh_names(degree: int) -> list[str]:
 
 
 class GltfDocument:
-    """The JSON of a glTF file and its buffers; every access to either is checked.
-
-    Args:
-        root: its JSON.
-        binary: the binary chunk of a .glb file.
-    """
+    """The JSON of a glTF file and its buffers, with the binary chunk of a .glb file; every access is checked."""
 
     def __init__(self, root: JsonNode, binary: memoryview | None) -> None:
         self.path = root.path
@@ -57,7 +52,6 @@ class GltfDocument:
         self._sources: dict[str, bytes] = {}
 
     def error(self, problem: str, remedy: str = _DAMAGED) -> FileFormatError:
-        """Return the error that says what is wrong with the file."""
         return FileFormatError(self.path, problem, remedy)
 
     def entry(self, name: str, index: JsonNode, default: int | None = None) -> JsonNode:
@@ -178,7 +172,6 @@ def read_document(path: str | Path) -> GltfDocument:
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
-    """Return the JSON and the binary chunk of a .glb file."""
     if len(data) < HEADER.size:
         raise FileFormatError(path, "ends within its header", "the file is cut short; copy it again")
     _, version, length = HEADER.unpack_from(data)

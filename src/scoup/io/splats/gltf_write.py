@@ -48,17 +48,15 @@ def write_gltf(
     """Write a .glb file, or a .gltf file with its buffer inside.
 
     All float32 values are kept bit by bit, but for what glTF does not allow: quaternions are normalised, opacities
-    clipped to 0..1, scales made positive. Coefficients of SH above degree 3 are left out. Axes are turned to those of
-    glTF (left, up, forward) by signs (``axes``). The node has the frame of the world: it is upright and in metres.
+    clipped to 0..1, scales made positive. Coefficients of SH above degree 3 are left out, with a warning. Axes are
+    turned to those of glTF (left, up, forward) by signs (``axes``). The node has the frame of the world: it is upright
+    and in metres.
 
     Args:
         gaussians: at least one; rows that are not finite are refused.
         ids: [N] integers on the CPU, the class of each, for viewers that style by class: the position of a name in
             ``names``; -1 for none of them.
         names: C names of classes, at least one; none is empty.
-
-    Warns:
-        ScoupWarning: coefficients were left out.
     """
     path = Path(path)
     if not len(gaussians):
@@ -168,13 +166,8 @@ class _Builder:
         return len(self.views) - 1
 
     def add_attribute(self, rows: np.ndarray, normalised: bool = False, bounds: bool = False) -> int:
-        """Append a column [N, width] of vertices; return the index of its accessor.
-
-        Args:
-            rows: float32, uint16 or uint8. Rows of less than 4 bytes are padded, as glTF asks of vertices.
-            normalised: whether integers mean 0..1.
-            bounds: whether to state the smallest and largest values.
-        """
+        """Append a column [N, width] of vertices, float32, uint16 or uint8; return the index of its accessor. Rows of
+        less than 4 bytes are padded, as glTF asks of vertices. ``normalised`` integers mean 0..1."""
         size = rows.shape[1] * rows.itemsize
         stride = size + -size % 4
         padded = np.zeros((len(rows), stride), np.uint8)
@@ -204,7 +197,6 @@ class _Builder:
         return [header, text, CHUNK.pack(self._length, BINARY_CHUNK), *self._parts]
 
     def gltf(self, root: dict[str, Any]) -> list[bytes]:
-        """Return the one part of a .gltf file with its buffer inside; see ``glb``."""
         body = base64.b64encode(b"".join(self._parts)).decode()
         uri = f"data:application/octet-stream;base64,{body}"
         return [self._json(root, {"byteLength": self._length, "uri": uri})]

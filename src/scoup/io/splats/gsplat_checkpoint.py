@@ -28,13 +28,7 @@ _WITHOUT_OBJECTS = (
 
 
 def read_gsplat_checkpoint(path: str | Path, activated: bool = False) -> Gaussians:
-    """Read one checkpoint file, or all ranks of the latest step in a ``ckpts`` folder (or above it).
-
-    Pickles are read with torch's restricted loader: nothing in them is run.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
-    """
+    """Read one checkpoint file, or all ranks of the latest step in a ``ckpts`` folder (or above it)."""
     path = Path(path)
     files = latest_ranks(path) if path.is_dir() else [path]
     ranks = [_read_splats(file) for file in files]

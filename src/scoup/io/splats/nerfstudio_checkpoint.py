@@ -26,7 +26,6 @@ _SHAPES = {  # of a Gaussian
 
 
 def read_splatfacto(path: str | Path, activated: bool = False) -> Gaussians:
-    """Read one checkpoint of splatfacto. It is read with torch's restricted loader: nothing in it is run."""
     path = Path(path)
     raw = _tensors(path, load_torch(path, _WHAT, _EXPORT))
     constant, rest = raw["features_dc"], raw["features_rest"]

@@ -59,10 +59,8 @@ class PlyTable:
 
     @classmethod
     def read(cls, path: str | Path) -> PlyTable:
-        """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them.
-
-        A file longer than its header says is read as far as the header says, with a ScoupWarning.
-        """
+        """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them; what is
+        behind those of its header is not read, with a warning."""
         header = read_header(path)
         return cls(header.path, read_rows(header), header.comments)
 
@@ -112,14 +110,11 @@ class PlyTable:
         """Return activated Gaussians of the table, and a boolean [N] saying which rows they are.
 
         Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
-        are not finite (a zero quaternion is one) are dropped.
+        are not finite (a zero quaternion is one) are dropped, with a warning.
 
         Args:
             activated: scales and opacities are stored as they are, where their values allow it. A FileFormatError if
                 false and they seem to be; None: not looked at.
-
-        Warns:
-            ScoupWarning: some rows were dropped.
         """
         return keep_finite(**_activated(self, activated), source=str(self.path))
 
@@ -172,16 +167,9 @@ def _base_colors(table: PlyTable) -> np.ndarray:
 def read_ply(path: str | Path, activated: bool = False) -> Gaussians:
     """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
 
-    Two scales (2DGS) or one, and red, green, blue in place of f_dc are read too.
-
-    Compressed files as PlayCanvas and SuperSplat write them are read too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in
-    a binary file, the values are in temporary files (TMPDIR).
-
-    Args:
-        activated: as of ``PlyTable.gaussians``.
-
-    Warns:
-        ScoupWarning: rows were dropped, the file is longer than its header says, or its Gaussians are not plain ones.
+    Two scales (2DGS) or one, red, green, blue in place of f_dc, and compressed files as PlayCanvas and SuperSplat write
+    them are read, too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in a binary file, the values are in temporary files
+    (TMPDIR). ``activated`` is as of ``PlyTable.gaussians``.
     """
     header = read_header(path)
     if is_compressed(header.dtype.names or ()):
@@ -212,15 +200,9 @@ def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
     """Write the Inria layout.
 
     Gaussians that were read from a PLY file or a checkpoint read back bit by bit. Others are rounded to the
-    float32 logarithm and logit the layout holds (``as_stored`` gives them as they will be read).
+    float32 logarithm and logit the layout holds.
     """
     PlyTable.of(gaussians).write(path, overwrite)
-
-
-def as_stored(gaussians: Gaussians) -> Gaussians:
-    """Return the Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
-    stored = PlyTable.of(gaussians).gaussians()[0].to(gaussians.device)
-    return replace(stored, antialiased=gaussians.antialiased)
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
@@ -259,7 +241,6 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
 
 
 def _in_output(folder: Path) -> Path | None:
-    """Return the splat in an output folder of Inria's code."""
     is_output = folder.name == "point_cloud" or (folder / "point_cloud").is_dir()
     return latest_point_cloud(folder) if is_output else None
 

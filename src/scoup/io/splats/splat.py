@@ -18,11 +18,7 @@ _FEW = 0.05  # share of rows that may be damaged
 
 
 def read_splat(path: str | Path) -> Gaussians:
-    """Read a .splat file: linear scales, RGBA bytes, quaternion bytes (b - 128) / 128 as w, x, y, z.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite (or no rotation) were dropped.
-    """
+    """Read a .splat file: linear scales, RGBA bytes, quaternion bytes (b - 128) / 128 as w, x, y, z."""
     path = existing_file(path, "a .splat file")
     try:
         with open(path, "rb") as stream:

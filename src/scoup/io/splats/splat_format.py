@@ -72,5 +72,4 @@ class SplatFormat(Entry):
         return gaussians if self.axis is None else turned(gaussians, self.axis)
 
     def turned_direction(self, direction: Sequence[float]) -> tuple[float, ...]:
-        """Return a direction turned as Gaussians are."""
         return tuple(direction) if self.axis is None else turned_direction(direction, self.axis)

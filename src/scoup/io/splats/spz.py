@@ -37,11 +37,6 @@ _HALF_STEP = math.exp(1 / 32)
 
 
 def read_spz(path: str | Path) -> Gaussians:
-    """Read a .spz file of version 1 to 4.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
-    """
     path = existing_file(path, "a .spz file")
     header, columns = spz_columns(path, read_bytes(path))
     return replace(
@@ -86,11 +81,7 @@ def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
 
 def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
     """Write a .spz file of version 3, or of version 4, which alone has SH degree 4; docs/formats.md says how values are
-    rounded. Rows that are not finite are refused.
-
-    Warns:
-        ScoupWarning: scales were clipped.
-    """
+    rounded."""
     version = 4 if gaussians.sh_degree > 3 else version
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
     means, scales, sh = arrays["means"], arrays["scales"], arrays["sh"]

@@ -57,7 +57,6 @@ class SpzHeader:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Bytes of each attribute."""
         return {name: self.count * size for name, size in self.row_sizes.items()}
 
 

@@ -55,14 +55,11 @@ def write_usd(
 
     All float32 values are kept bit by bit, but for what ``finite_arrays`` changes. Axes are turned to those of a stage
     with y up (right, up, back) by signs (``axes``). With a frame of the world the stage is upright and has the
-    metres of its unit, else 1.
+    metres of its unit, else 1. A ScoupError if usd-core is missing or too old.
 
     Args:
         gaussians: at least one; rows that are not finite are refused.
         things: of them.
-
-    Raises:
-        ScoupError: usd-core is missing or too old.
     """
     path = Path(path)
     usd = _package(path)
@@ -119,7 +116,6 @@ def _package(path: Path) -> Any:
 
 
 def _stage(usd: Any, gaussians: Gaussians, things: Sequence[UsdThing]) -> Any:
-    """Return a stage in memory."""
     stage = usd.Usd.Stage.CreateInMemory()
     usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
     usd.UsdGeom.SetStageMetersPerUnit(stage, gaussians.world.metres_per_unit or 1.0)
