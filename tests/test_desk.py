@@ -37,19 +37,17 @@ def field(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> scoup.Languag
     return scoup.LanguageField.load(out, words=desk / "desk_words.npz")
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_labelled_object_is_the_answer_and_the_best_thing(
-    desk: Path, field: scoup.LanguageField, name: str
-) -> None:
+def test_labelled_objects_are_the_answers_and_the_best_things(desk: Path, field: scoup.LanguageField) -> None:
     assert field.cameras is not None
-    best, overlaps = field.things([name])[0], []
+    best, overlaps = [field.things([name])[0] for name in NAMES], []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
-        truth = frame.resized(camera.width, camera.height).masks[name]
-        view = field.at(camera)
-        masks = view.answer(name).mask, view.mask_of(best.gaussians)
-        overlaps.append([float((mask & truth).sum() / (mask | truth).sum()) for mask in masks])
-    assert (np.mean(overlaps, axis=0) > 0.5).all(), overlaps
-    assert field.location(name).position is not None
+        truths, view = frame.resized(camera.width, camera.height).masks, field.at(camera)
+        for name, answer, thing in zip(NAMES, view.answer(list(NAMES)), best, strict=True):
+            for mask in (answer.mask, view.mask_of(thing.gaussians)):
+                overlaps.append(float((mask & truths[name]).sum() / (mask | truths[name]).sum()))
+    of_objects = np.reshape(overlaps, (-1, len(NAMES), 2))
+    assert (of_objects.mean(axis=0) > 0.5).all(), of_objects
+    assert all(place.position is not None for place in field.location(list(NAMES)))
 
 
 def test_relations_agree_with_their_converses(field: scoup.LanguageField) -> None:
