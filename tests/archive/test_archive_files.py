@@ -169,7 +169,7 @@ def test_threads_ask_while_scans_are_removed_and_replaced(archive: scoup.Archive
 
     def replace_files() -> None:
         try:
-            for file, content in [*zip(files, contents, strict=True)] * 40:
+            for file, content in [*zip(files, contents, strict=True)] * 100:
                 file.unlink()
                 time.sleep(0.003)
                 new = archive.folder / ".new"
@@ -179,7 +179,7 @@ def test_threads_ask_while_scans_are_removed_and_replaced(archive: scoup.Archive
         finally:
             done.set()
 
-    run_threads([ask] * 2 + [replace_files])
+    run_threads([ask] * 4 + [replace_files])
     assert {each.scan for each in archive.find("lamp")} == set(fields)
 
 

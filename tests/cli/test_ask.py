@@ -140,51 +140,41 @@ def test_masks_for_trainers():
             assert labelled.size == picture.size
 
 
-def test_arrays_and_coco_hold_the_answers():
-    options = ("--camera", "all", "--npz", "--coco", "--pictures", "none", "--out", "a")
+def test_python_records_and_files_say_the_same():
+    options = ("--camera", "all", "--pictures", "all", "--npz", "--coco", "--out", "a")
     record = run_json("query", "f.scoup", *TEXTS, *options)
-    assert record["sheets"] == []
-    field = LanguageField.load("f.scoup")
+    field, kept = LanguageField.load("f.scoup"), ("sheets", "answers", "places", "frame")
+    written = json.loads(Path("a/query.json").read_text())
+    assert written == {"field": "f.scoup", **{key: record[key] for key in kept}}
+    answers, places = field.answer(list(TEXTS)), field.location(list(TEXTS))
+    for answer, place, said in zip(answers, places, record["places"], strict=True):
+        assert {"text": answer.text, **place.to_dict()} == said
+        assert field.location(answer).to_dict() == field.location(answer.text).to_dict() == place.to_dict()
     coco = json.loads(Path("a/coco.json").read_text())
     assert field.cameras is not None
     assert [image["file_name"] for image in coco["images"]] == list(field.cameras.names)
     areas = {(one["image_id"], one["category_id"]): one["area"] for one in coco["annotations"]}
+    assert len(record["answers"]) == len(TEXTS) * len(field.cameras)
+    entries = iter(record["answers"])
     for number, camera in enumerate(field.cameras):
-        answers = field.at(camera).answer(list(TEXTS))
-        with np.load(f"a/{camera.stem}/relevancy.npz", allow_pickle=False) as arrays:
-            assert arrays["texts"].tolist() == list(TEXTS)
-            assert arrays["levels"].tolist() == [answer.level for answer in answers]
-            assert arrays["relevancy"].dtype == np.float32
-            for row, answer in enumerate(answers):
-                assert np.array_equal(arrays["relevancy"][row], answer.heat.numpy())
-                assert np.array_equal(arrays["mask"][row], answer.mask.numpy())
-                assert arrays["present"][row] == answer.presence
-                assert np.isnan(arrays["score"][row])
-                assert areas.get((number + 1, row + 1), 0) == int(answer.mask.sum())
-        entry = record["answers"][2 * number]
-        assert entry["files"] == {"npz": f"a/{camera.stem}/relevancy.npz"}
-
-
-def test_python_and_pictures_say_what_the_command_line_says():
-    record = run_json("query", "f.scoup", *TEXTS, "--camera", "all", "--pictures", "all", "--out", "a")
-    field, kept = LanguageField.load("f.scoup"), ("sheets", "answers", "places", "frame")
-    written = json.loads(Path("a/query.json").read_text())
-    assert written == {"field": "f.scoup", **{key: record[key] for key in kept}}
-    for number, (answer, place) in enumerate(
-        zip(field.answer(list(TEXTS)), field.location(list(TEXTS)), strict=True)
-    ):
-        assert answer.text == TEXTS[number]
-        assert {"text": answer.text, **place.to_dict()} == record["places"][number]
-        assert field.location(answer).to_dict() == field.location(answer.text).to_dict() == place.to_dict()
-        entries = [entry for entry in record["answers"] if entry["text"] == answer.text]
-        for camera, entry in zip(field.cameras or (), entries, strict=True):
-            seen, files = field.at(camera).show([answer])[0], entry.pop("files")
-            assert {"camera": seen.view, "text": seen.text, **seen.to_dict()} == entry
+        with np.load(f"a/{camera.stem}/relevancy.npz", allow_pickle=False) as stored:
+            arrays = dict(stored)
+        assert arrays["texts"].tolist() == list(TEXTS)
+        assert arrays["relevancy"].dtype == np.float32
+        for row, seen in enumerate(field.at(camera).show(answers)):
+            files = (entry := next(entries)).pop("files")
+            assert {"camera": seen.view, "text": TEXTS[row], **seen.to_dict()} == entry
             assert (seen.position is None) == (entry["position"] is None)
-            assert (pixels(files["mask"])[..., 0] == 255 * seen.mask.numpy()).all()
-            assert all(
-                len(pixels(files[kind])) > 30 for kind in ("heat", "overlay")
-            )  # the strip with the text
+            assert entry["coverage"] == pytest.approx(float(seen.mask.float().mean()), abs=1e-6)
+            assert (entry["score"], entry["certainty"]) == (None, None)  # too few words to judge presence
+            assert np.array_equal(arrays["relevancy"][row], seen.heat.numpy())
+            assert np.array_equal(arrays["mask"][row], seen.mask.numpy())
+            assert (arrays["levels"][row], arrays["present"][row]) == (seen.level, seen.presence)
+            assert np.isnan(arrays["score"][row])
+            assert areas.get((number + 1, row + 1), 0) == int(seen.mask.sum())
+            assert files.pop("npz") == f"a/{camera.stem}/relevancy.npz"
+            assert (pixels(files.pop("mask"))[..., 0] == 255 * seen.mask.numpy()).all()
+            assert min(len(pixels(path)) for path in files.values()) > 30  # the strip with the text
 
 
 @pytest.mark.parametrize("motion", ["path", "turntable"])

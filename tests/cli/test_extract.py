@@ -50,6 +50,11 @@ def test_extract_then_build() -> None:
     assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", 1080)
     again = run_json("extract", "scene", *FREE)
     assert (again["made"], again["kept"]) == (0, 4)
+    # The photographs alone give the same regions.
+    assert run_json("extract", "scene/images", *FREE, "--out", "out")["made"] == 4
+    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("out", "scene"))
+    for level in one.levels:
+        assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
     build = ("build", "scene", *QUICK, "--no-check-fit", "--out")
     run_json(*build, "a.scoup")
     field = LanguageField.load("a.scoup")
@@ -57,15 +62,6 @@ def test_extract_then_build() -> None:
     assert field.dim == 72
     run_json(*build, "b.scoup", "--model", "my/model")
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
-
-
-def test_extract_from_photographs_alone() -> None:
-    photographs()
-    assert run_json("extract", "scene/images", *FREE, "--out", "out")["made"] == 4
-    run_json("extract", "scene", *FREE)
-    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("out", "scene"))
-    for level in one.levels:
-        assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
 
 
 def test_regions_are_shown_and_replaced_by_a_conversion() -> None:

@@ -205,7 +205,7 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
 
     with served_over_http() as (server, asked):
         head = "".join(f"{name}: {value}\r\n" for name, value in asked.header_items())
-        with socket.create_connection(("127.0.0.1", urlsplit(asked.full_url).port)) as leaving:
+        with socket.create_connection(("127.0.0.1", urlsplit(asked.full_url).port or 0)) as leaving:
             leaving.sendall(
                 f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:1\r\n{head}Content-Length: 9\r\n\r\n{{".encode()
             )
