@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import pytest
 
 from children import finished
-from cli_support import printed
+from cli_support import printed, run_json
 from messages import SNAPSHOT
 from scoup.cli.app import SCOUP
 from scoup.cli.family import Family
@@ -78,6 +78,8 @@ def test_options_are_explained_and_shown_once_in_groups_that_fit_the_terminal(ve
 HEAVY = ("torch", "scipy", "PIL", "transformers", "triton", "jinja2")
 IMPORTED = f"""
 import sys
+import scoup.base.native
+assert not [name for name in (*{HEAVY}, "numpy", "scoup._native") if name in sys.modules]
 from scoup.cli.app import run
 for command in sys.argv[1:]:
     assert run(command.split()) == 0
@@ -86,8 +88,9 @@ for command in sys.argv[1:]:
 
 
 @pytest.mark.usefixtures("here")
-def test_help_and_the_facts_of_a_field_need_nothing_heavy() -> None:
-    commands = ("--help", "--version", "info --help", "info f.scoup")
+def test_help_facts_and_lists_need_nothing_heavy() -> None:
+    run_json("archive", "scans", "--add", "f.scoup")
+    commands = ("--help", "--version", "info --help", "info f.scoup", "archive scans --list")
     done = finished([sys.executable, "-c", IMPORTED, *commands], check=True)
     assert done.stderr.splitlines() == [f"{command} []" for command in commands]
 
