@@ -11,18 +11,26 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from subprocess import PIPE
-from typing import Any
+from typing import IO, Any
+
+
+class Child(subprocess.Popen[Any]):
+    """A program. The streams that a test uses are pipes."""
+
+    stdin: IO[Any]  # pyright: ignore[reportIncompatibleVariableOverride]
+    stdout: IO[Any]  # pyright: ignore[reportIncompatibleVariableOverride]
+    stderr: IO[Any]  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 @contextmanager
-def child(command: Sequence[object], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+def child(command: Sequence[object], **options: Any) -> Iterator[Child]:
     """A program with pipes as its output, by default of text. Programs that it starts are killed with it."""
     options = {"stdout": PIPE, "stderr": PIPE, "text": True, **options}
     before = signal.getsignal(signal.SIGINT)
     if before is signal.SIG_IGN:  # as in jobs in the background of a shell, and in what they start
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        process = subprocess.Popen([str(part) for part in command], start_new_session=True, **options)
+        process = Child([str(part) for part in command], start_new_session=True, **options)
     finally:
         signal.signal(signal.SIGINT, before)
     try:

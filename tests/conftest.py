@@ -158,7 +158,6 @@ def preloaded_python() -> Iterator[str]:
         program.chmod(0o755)
         server = [sys.executable, tests / "preloaded.py", address, program]
         with child(server, stdin=DEVNULL, stderr=None) as process:
-            assert process.stdout is not None
             assert process.stdout.readline() == "ready\n"
             yield str(program)
 

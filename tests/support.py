@@ -158,6 +158,12 @@ def things_of(
     return ThingTable(owners.int(), levels.to(torch.uint8), embeddings=embeddings.half(), **given)
 
 
+def table_of(field: Field) -> ThingTable:
+    """The things of a field that has some."""
+    assert field.thing_table is not None
+    return field.thing_table
+
+
 def altered(field: Field, **parts: Any) -> LanguageField:
     """The field with other parts, without its encoder, to be asked."""
     given = {

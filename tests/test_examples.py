@@ -37,7 +37,6 @@ def example(name: object, *arguments: object) -> str:
 
 def test_pipeline(tmp_path):
     """Field and answer are those of `scoup.build` on the same regions."""
-    pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
     names = ["kettle", "mug", "table", *CANONICAL_PHRASES]
     solid = np.random.default_rng(0).integers(1, 256, (len(names), 1, 1, 3), np.uint8)
     vectors = PlainColors().embed(torch.from_numpy(np.tile(solid, (1, 64, 64, 1)))).numpy()

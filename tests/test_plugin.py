@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -50,12 +51,12 @@ for level, features in enumerate(fitted.channels):
 """
 
 
-def test_a_package_is_used_by_name(tmp_path: Path) -> None:
-    pytest.importorskip("hatchling", reason="hatchling is not installed")
-    source = shutil.copytree(PLUGIN, tmp_path / "source", ignore=shutil.ignore_patterns("__pycache__"))
-    quietly = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
-    install = [sys.executable, "-m", "pip", "install", *quietly, "--target", tmp_path / "site", source]
-    finished(install, check=True)
+@pytest.mark.usefixtures("quick_python")
+def test_a_package_is_used_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = pytest.importorskip("hatchling.build", reason="hatchling is not installed")
+    monkeypatch.chdir(shutil.copytree(PLUGIN, tmp_path / "source"))
+    with zipfile.ZipFile(tmp_path / backend.build_wheel(tmp_path)) as wheel:
+        wheel.extractall(tmp_path / "site")
     write_scene(tmp_path / "scene")
     (tmp_path / "words.npz.bak").touch()
     places = os.pathsep.join([str(tmp_path / "site"), str(Path(__file__).parent)])

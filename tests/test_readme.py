@@ -12,16 +12,16 @@ import pytest
 from benchmarks.documents import ROOT
 
 import scoup
-from cli_support import run
+from cli_support import run_json
 from scoup.cli.app import SCOUP
 from scoup.cli.parsing import parse
+from scoup_lab.synthetic import make_demo_scene, write_demo_scene
 
 README = ROOT / "README.md"
 FIRST = (
     README,
     *(ROOT / "docs" / f"{name}.md" for name in ("index", "getting_started", "own_scene", "query")),
 )
-TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
 
 
 def commands(page: Path) -> Iterator[list[str]]:
@@ -44,15 +44,12 @@ def test_commands_are_parsed_and_pictures_are_there(page: Path) -> None:
 def test_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a small scene of the demo; the viewer is started by the tests of servers."""
     monkeypatch.chdir(tmp_path)
-    assert run("demo", "--out", ".", *TINY)[0] == 0
+    write_demo_scene(make_demo_scene(0, 3000, 96, 72, 4, 1), "scene")
     places = {"SCENE": "scene", "point_cloud.ply": "scene/point_cloud.ply"}
     for words in commands(README):
         if words[0] != "view":
-            of_demo = (
-                ["--model", "scene/text.npz"] if words[0] == "build" else []
-            )  # its embeddings are simulated
-            code, _, err = run(*(places.get(word, word) for word in words), *of_demo)
-            assert code == 0, (words, err)
+            of_demo = ("--model", "scene/text.npz") * (words[0] == "build")  # its embeddings are simulated
+            run_json(*(places.get(word, word) for word in words), *of_demo)
     assert {"scene.scoup", "blue.ply"} <= {path.name for path in tmp_path.iterdir()}
 
 

@@ -18,6 +18,7 @@ import scoup
 from scoup.base import VERSION
 from scoup.base.errors import FieldVersionError
 from scoup.view.viewer import PORT
+from test_layout import nodes, sources
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -54,8 +55,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_errors_of_the_questions_are_those_of_the_program() -> None:
-    nodes = (node for path in (ROOT / "src").rglob("*.py") for node in ast.walk(ast.parse(path.read_text())))
-    said = "\n".join(str(node.value) for node in nodes if isinstance(node, ast.Constant))
+    found = (node for source in sources(ROOT / "src").values() for node in nodes(source))
+    said = "\n".join(str(node.value) for node in found if isinstance(node, ast.Constant))
     headings = re.findall(r"^### `(.*)`$", (DOCS / "faq.md").read_text(), re.MULTILINE)
     assert len(headings) > 10
     for heading in headings:

@@ -12,7 +12,7 @@ import scoup
 from query.planted_room import CLUTTER, ROOM, Box, planted_room
 from scoup.models import WordTable
 from scoup.query import LanguageField
-from support import altered
+from support import altered, table_of
 
 
 @pytest.fixture(scope="session")
@@ -31,9 +31,8 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
     made = {}
     for name, room in rooms.items():
         planted = planted_room(room)
-        assert planted.thing_table is not None
         names = [*(box.name for box in room), *CLUTTER]
-        things = replace(planted.thing_table, embeddings=encoder.encode(names).half())
+        things = replace(table_of(planted), embeddings=encoder.encode(names).half())
         info = replace(planted.info, embedding_model="some/model", words=folder / "words.npz")
         made[name] = field = altered(planted, thing_table=things, info=info, words=encoder)
         field.save(folder / f"{name}.scoup")

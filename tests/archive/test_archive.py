@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +20,6 @@ import torch
 from PIL import Image
 
 import scoup
-from children import finished
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
 from messages import refuses, warns
@@ -39,7 +39,7 @@ from scoup.models.image import open_image_model
 from scoup.models.plain_colors import PlainColors
 from scoup.query import LanguageField, ThingIndex, constants
 from scoup.query.thing_judge import Shares, thing_index
-from support import altered, unit
+from support import altered, table_of, unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 
@@ -78,8 +78,7 @@ def twenty(fields: Fields, tmp_path_factory: pytest.TempPathFactory) -> Fields:
         if number % 3 == 0:
             field, _ = with_whole(field, range(min(2, len(boxes))))
             names.append(names[0])
-        table, count = field.thing_table, len(names)
-        assert table is not None
+        table, count = table_of(field), len(names)
         noise = torch.randn(count, planted.DIM, generator=generator) * 0.08
         voted = {"mug": {0: 0.6, 1: 0.5}, "lamp": {count - 1: 0.4}, ABSENT: {}}
         table = replace(
@@ -113,17 +112,17 @@ def many(twenty: Fields, tmp_path_factory: pytest.TempPathFactory) -> scoup.Arch
 def test_twenty_scans_answer(many: scoup.Archive, twenty: Fields, question: str, scans: range) -> None:
     """What is found is what the fields answer, the best ones first."""
 
-    def rank(found: FoundThing) -> float:
-        field = twenty[found.scan]
-        question = field.question(found.text)
-        index = thing_index(field, question)
+    @cache
+    def leads(scan: str, text: str) -> torch.Tensor:
+        asked = twenty[scan].question(text)
+        index = thing_index(twenty[scan], asked)
         assert index is not None
-        return float(rank_of([found.score], index.leads(index.fits(question.queries))[found.thing])[0])
+        return index.leads(index.fits(asked.queries))
 
     found = many.find(question, top=10_000)
     assert len({each.scan for each in found}) in scans
     assert_answers_are_those_of(found, twenty, question)
-    ordered = [rank(each) for each in found]
+    ordered = [rank_of([each.score], leads(each.scan, each.text)[each.thing])[0] for each in found]
     assert ordered == sorted(ordered, reverse=True)
     for top in (1, 3):
         best = [(each.scan, each.thing) for each in many.find(question, top=top)]
@@ -137,8 +136,7 @@ def test_things_are_counted_as_in_the_fields(archive: scoup.Archive, fields: Fie
     archive.add(few)
     counts = {name: len(field.things()) for name, field in {**fields, "few": few}.items()}
     assert {scan.name: scan.things for scan in list_scans(archive.folder)} == counts
-    assert few.thing_table is not None
-    assert 0 < counts["few"] < len(few.thing_table)
+    assert 0 < counts["few"] < len(table_of(few))
 
 
 def test_names_that_a_model_gave_answer_as_in_the_field(fields: Fields, tmp_path: Path) -> None:
@@ -148,8 +146,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(fields: Fields, tmp_path
     presence = {"mug": 0.9, "lamp": 0.9 * constants.LIKELY, ABSENT: 0.05, "pen": 0.05}
     archive, field = scoup.Archive(tmp_path / "a", table), planted_room()
     archive.add(fields["hall"])
-    assert field.thing_table is not None
-    things = replace(fields["office"].thing_table or field.thing_table, names=names_of(votes, presence))
+    things = replace(table_of(fields["office"]), names=names_of(votes, presence))
     info = replace(field.info, embedding_model="some/model")
     field = altered(field, thing_table=things, info=info, words=table)
     field.save(tmp_path / "named.scoup")
@@ -190,14 +187,13 @@ def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive, fi
         assert archive.find(question, at_least=most + 1) == []
 
 
-@pytest.mark.parametrize(
-    "where",
-    ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", "",
-     "(SELECT count(*) FROM (COPY things TO 'a.csv')) > 0", "error('\\0') = 1", "\ud800 = 1"],
-)  # fmt: skip
-def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
-    with pytest.raises(InputError, match="condition"):
-        archive.find("mug", where=where)
+def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive) -> None:
+    for where in (
+        "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", "",
+        "(SELECT count(*) FROM (COPY things TO 'a.csv')) > 0", "error('\\0') = 1", "\ud800 = 1",
+    ):  # fmt: skip
+        with pytest.raises(InputError, match="condition"):
+            archive.find("mug", where=where)
 
 
 def test_the_name_of_the_folder_is_no_pattern(archive: scoup.Archive, fields: Fields) -> None:
@@ -249,8 +245,8 @@ def test_a_field_that_left_or_changed_answers_no_phrase(fields: Fields, tmp_path
         field.save(path)
         archive.add(path)
     assert {each.scan for each in archive.find(phrase)} == {"one", "two"}
-    assert field.thing_table is not None
-    field.thing_table = replace(field.thing_table, embeddings=field.thing_table.embeddings.flip(0))
+    things = table_of(field)
+    field.thing_table = replace(things, embeddings=things.embeddings.flip(0))
     field.save(paths[0], overwrite=True)
     with warns(ScoupWarning):
         assert {each.scan for each in archive.find(phrase)} == {"two"}
@@ -295,13 +291,12 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(planted, "DIM", embedder.dim)
     monkeypatch.chdir(tmp_path)
     field = planted_room()
-    assert field.thing_table is not None
-    vectors = field.thing_table.embeddings.clone()
+    vectors = table_of(field).embeddings.clone()
     for thing in (LAMP, MUG, BALL):
         pixels = smooth_image(32, 32, thing)
         Image.fromarray(pixels).save(f"{thing}.png")
         vectors[thing] = embedder.embed(torch.from_numpy(pixels)[None])[0]
-    field.thing_table = replace(field.thing_table, embeddings=vectors)
+    field.thing_table = replace(table_of(field), embeddings=vectors)
     field.info = replace(field.info, embedding_model=model)
     field.save("a.scoup")
     encoder = field.encoder
@@ -331,11 +326,8 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch) -> None:
 
 def test_parts_and_wholes_of_what_looks_alike_are_left_out() -> None:
     field = planted_room()
-    assert field.thing_table is not None
-    index, vector = (
-        ThingIndex.of(field.thing_table, field.encoder.everyday()),
-        field.encoder.encode(["lamp"])[0],
-    )
+    index = ThingIndex.of(table_of(field), field.encoder.everyday())
+    vector = field.encoder.encode(["lamp"])[0]
     every = torch.arange(len(index.counts))
     for pair in ((LAMP, MUG), (MUG, LAMP)):
         shared = index.shared(every, every >= 0, len(every))
@@ -386,9 +378,6 @@ def test_the_verb(fields: Fields, tmp_path: Path, monkeypatch) -> None:
     scoup.Archive("a").add(fields["kitchen"], city="Graz\nhall: 99 things")
     assert "kitchen: 16 things of" in (listed := run("archive", "a", "--list")[1])
     assert len(listed.splitlines()) == 4
-    program = 'import sys; from scoup.cli import entry\ntry: entry()\nexcept SystemExit: exit("torch" in sys.modules)'
-    listing = [sys.executable, "-c", program, "archive", "a", "--list"]
-    assert finished(listing, check=True).stdout == listed
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
     assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"
 
@@ -408,13 +397,11 @@ def test_doubtful_answers_are_marked_and_folded(
     assert page.index("<li>") > page.index("<summary>5 doubtful</summary>")
 
 
-@pytest.mark.parametrize(
-    "where", ["room = 2", "floor =", "floor + scan > 2", "no_such_function(floor)", "city::INTEGER > 2"]
-)
-def test_a_condition_that_cannot_be_used_says_what_can(archive: scoup.Archive, where: str) -> None:
-    with refuses() as error:
-        archive.find("mug", where=where)
-    assert "columns are scan, thing, row" in str(error.value)
+def test_a_condition_that_cannot_be_used_says_what_can(archive: scoup.Archive) -> None:
+    for where in ("room = 2", "floor =", "floor + scan > 2", "no_such_function(floor)", "city::INTEGER > 2"):
+        with refuses() as error:
+            archive.find("mug", where=where)
+        assert "columns are scan, thing, row" in str(error.value)
 
 
 def test_scans_that_may_have_better_things_are_asked(archive: scoup.Archive) -> None:

@@ -308,18 +308,22 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("damage", [
-    *(lambda path, change=change: path.write_bytes(change(path.read_bytes())) for change in BYTES),
-    *(partial(rewrite, change=change) for change in HEADERS),
-    *(partial(rewrite, change=change) for change in SEALED),
-    *(partial(rewrite, column=column) for column in COLUMNS),
-])  # fmt: skip
-def test_a_damaged_scan_is_named(
-    archive: scoup.Archive, fields: Fields, damage: Callable[[Path], Any]
+@pytest.mark.parametrize("damages", [
+    [lambda path, change=change: path.write_bytes(change(path.read_bytes())) for change in BYTES],
+    [partial(rewrite, change=change) for change in HEADERS],
+    [partial(rewrite, change=change) for change in SEALED],
+    [partial(rewrite, column=column) for column in COLUMNS],
+], ids=["bytes", "header", "arrays", "columns"])  # fmt: skip
+def test_a_damaged_scan_is_named_and_can_be_added_again(
+    archive: scoup.Archive, fields: Fields, damages: list[Callable[[Path], Any]]
 ) -> None:
-    damage(archive.folder / "office.parquet")
-    with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
-        scoup.Archive(archive.folder).find("mug")
+    path = archive.folder / "office.parquet"
+    whole = path.read_bytes()
+    for damage in damages:
+        path.write_bytes(whole)
+        damage(path)
+        with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
+            scoup.Archive(archive.folder).find("mug")
     archive.add(fields["office"])
     assert "office" in {each.scan for each in archive.find("mug")}
 

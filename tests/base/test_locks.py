@@ -7,11 +7,11 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
 
 import pytest
 
-from children import child, finished
+from children import Child, child, finished
 from scoup.base.errors import OutputExistsError, OutputInUseError, WriteError
 from scoup.base.outputs import atomic_file, atomic_path, locked, staged
 
@@ -34,11 +34,10 @@ with writer(Path(sys.argv[2])) as made:
 
 
 @contextmanager
-def another_process(what: str, path: Path) -> Iterator[Popen[str]]:
+def another_process(what: str, path: Path) -> Iterator[Child]:
     """A process that writes a path until the block ends, or it is killed."""
     command = [sys.executable, "-c", HOLD, what, str(path)]
     with child(command, stdin=PIPE) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         yield process
         process.communicate()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, run, write_scene
+from cli_support import QUICK, run_json, write_scene
 
 
 @pytest.fixture(scope="session")
@@ -16,8 +16,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cli")
     write_scene(folder / "scene")
     table = folder / "scene" / "words.npz"
-    code, _, err = run("build", folder / "scene", *QUICK, "--out", folder / "f.scoup", "--model", table)
-    assert code == 0, err
+    run_json("build", folder / "scene", *QUICK, "--out", folder / "f.scoup", "--model", table)
     return folder
 
 

@@ -18,7 +18,7 @@ import torch
 
 import scoup
 from children import finished
-from cli_support import BUILD, RUN, run
+from cli_support import BUILD, RUN, run, run_json
 from scoup.base import InputError, ScoupWarning, html, slug, unique_slugs
 from scoup.cli import main
 from scoup.cli.console import Console, run_verb
@@ -118,10 +118,15 @@ def test_errors_are_one_line_and_one_object(capsys, error, code, said):
     def verb(console: Console) -> None:
         raise error
 
-    assert run_verb(MACHINES, verb) == code
-    out, err = capsys.readouterr()
-    assert json.loads(out)["error"].startswith(said)
-    assert err == f"error: {json.loads(out)['error']}\n"
+    shown = {}
+    for common in (Common(), Common(quiet=True), MACHINES):
+        assert run_verb(common, verb) == code
+        shown[common] = capsys.readouterr()
+    err = shown[MACHINES].err
+    assert err.startswith(f"error: {said}")
+    assert (err.count("\n"), {each.err for each in shown.values()}) == (1, {err})
+    assert json.loads(shown.pop(MACHINES).out) == {"error": err.removeprefix("error: ").strip()}
+    assert {each.out for each in shown.values()} == {""}
 
 
 def test_faults_of_the_program_are_not_hidden():
@@ -164,10 +169,6 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
 
 
 def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     now, shown = [0.0], Terminal()
     monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
     monkeypatch.setattr(sys, "stderr", shown)
@@ -201,7 +202,7 @@ def test_results_and_warnings_that_nobody_reads(stream: str, more: tuple[str, ..
     Path("scene/images/view_00.png").unlink()  # of which a warning is said
     with nobody_reads(stream):
         assert main([*BUILD, *more]) == 0
-    assert run("info", "a.scoup")[0] == 0
+    run_json("info", "a.scoup")
 
 
 def in_a_shell(python: str, *words: str, ending: str) -> int:
@@ -213,10 +214,10 @@ def in_a_shell(python: str, *words: str, ending: str) -> int:
 @pytest.mark.usefixtures("here")
 @pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 def test_shells_that_close_streams(preloaded_python: str) -> None:
-    convert = ("convert", "scene/point_cloud.ply", "a.splat")
-    assert in_a_shell(preloaded_python, *convert, ending="| true") == 0
-    assert in_a_shell(sys.executable, *convert, "--overwrite", ending="<&- >&- 2>&-") == 0
-    assert run("info", "a.splat")[0] == 0
+    frame = ("frame", "f.scoup", "--metres-per-unit")  # which writes without torch
+    for number, python, ending in ((2, preloaded_python, "| true"), (3, sys.executable, "<&- >&- 2>&-")):
+        assert in_a_shell(python, *frame, str(number), ending=ending) == 0
+        assert run_json("info", "f.scoup")["frame"]["metres_per_unit"] == number
     assert in_a_shell(preloaded_python, "build nowhere --out b.scoup", ending="2>&1 | true") == 2
 
 

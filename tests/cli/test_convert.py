@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, printed, refused, run, run_json
+from cli_support import BUILD, printed, refused, run_json, warned
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, WordTable
@@ -52,8 +52,7 @@ def test_the_autoencoders_features_become_embeddings():
             np.save(path, network.encode(torch.from_numpy(np.load(path))).numpy())
     said = "the regions have 3 numbers each, codes of LangSplat's autoencoder"
     assert said in refused(*BUILD, "--features", small)
-    code, _, err = run("info", small)
-    assert (code, err.startswith(f"warning: {said}")) == (0, True)
+    assert warned("info", small).startswith(f"warning: {said}")
     run_json("convert", small, "decoded", "--autoencoder", "best_ckpt.pth", "--bits", "32")
     assert run_json("info", "decoded")["dim"] == 16
     found, codes = load_regions("decoded", load_cameras("scene")), np.load(small / "view_00_f.npy")

@@ -7,13 +7,14 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from cli_support import FREE, QUICK, plain_photographs, printed, refused, run, run_json, snapshot
+from cli_support import FREE, QUICK, plain_photographs, printed, refused, run, run_json, snapshot, warned
 from messages import check_message
 from scoup.cli.options import CLIP_MODEL
 from scoup.io import (
@@ -27,6 +28,7 @@ from scoup.models import WordTable
 from scoup.query import LanguageField
 from scoup.scene import Detections
 from scoup_lab.data.colmap_model import write_colmap
+from support import table_of
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -48,6 +50,11 @@ def test_extract_then_build() -> None:
     assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", 1080)
     again = run_json("extract", "scene", *FREE)
     assert (again["made"], again["kept"]) == (0, 4)
+    # The photographs alone give the same regions.
+    assert run_json("extract", "scene/images", *FREE, "--out", "out")["made"] == 4
+    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("out", "scene"))
+    for level in one.levels:
+        assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
     build = ("build", "scene", *QUICK, "--no-check-fit", "--out")
     run_json(*build, "a.scoup")
     field = LanguageField.load("a.scoup")
@@ -55,15 +62,6 @@ def test_extract_then_build() -> None:
     assert field.dim == 72
     run_json(*build, "b.scoup", "--model", "my/model")
     assert LanguageField.load("b.scoup").info.embedding_model == "my/model"
-
-
-def test_extract_from_photographs_alone() -> None:
-    photographs()
-    assert run_json("extract", "scene/images", *FREE, "--out", "out")["made"] == 4
-    run_json("extract", "scene", *FREE)
-    one, other = (load_regions(folder, load_cameras("scene")) for folder in ("out", "scene"))
-    for level in one.levels:
-        assert torch.equal(one.load("view_02.png", level).labels, other.load("view_02.png", level).labels)
 
 
 def test_regions_are_shown_and_replaced_by_a_conversion() -> None:
@@ -84,8 +82,7 @@ def test_photographs_are_chosen_and_more_are_added() -> None:
     def chosen() -> list[str]:
         return json.loads(manifest.read_text()).get("views", [])
 
-    code, out, err = run("extract", "scene", *FREE, "--views", 2)
-    assert code == 0, err
+    out = printed("extract", "scene", *FREE, "--views", 2)
     assert "2 of 4 photographs; --views all takes all" in out
     first = chosen()
     assert len(first) == 2
@@ -156,11 +153,10 @@ def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyP
     said = run_json("extract", "scene", *FREE, "--out", "regions", "--concepts", "words.txt", "--part", "1/1")
     assert (said["concepts"]["words"], said["concepts"]["made"]) == (2, 4)
     run_json("build", "scene", *QUICK, "--features", "regions", "--out", "named.scoup", "--no-check-fit")
-    table = LanguageField.load("named.scoup").thing_table
-    assert table is not None
-    assert table.names is not None
-    assert table.names.texts == ("kettle", "robot")
-    assert float(table.names.presence[0]) == 0 < float(table.names.presence[1])
+    names = table_of(LanguageField.load("named.scoup")).names
+    assert names is not None
+    assert names.texts == ("kettle", "robot")
+    assert float(names.presence[0]) == 0 < float(names.presence[1])
 
 
 # ---- views of a splat alone
@@ -192,99 +188,78 @@ def test_views_that_are_there_are_replaced_on_request() -> None:
     assert {path.name for path in Path("scene/images").iterdir()} == {*photographs, "own_000.png"}
 
 
-def test_a_build_of_a_splat_alone_continues() -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "all alone_views")
-    assert run_json("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")["views"] == 3
-    kept = snapshot(Path("all alone_views"))
-    code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup", "--overwrite")
-    assert code == 0
-    again = f"scoup views {SPLAT} --out 'all alone_views' --overwrite"
-    assert f"uses the existing views; to replace them: {again}" in said
-    assert "already there" in said
-    assert snapshot(Path("all alone_views")) == kept
-
-
-def interrupt(*_: object, **__: object) -> None:
-    raise KeyboardInterrupt
-
-
-def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "alone_views")
-    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+def test_a_build_of_a_splat_alone_continues_with_views_that_are_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, views = (
+        Path("all alone_views"),
+        ("views", SPLAT, *SMALL, "--views", 2, "--out", "all alone_views"),
+    )
+    run_json(*views)
+    build = ("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")
     for place, expected in (
         ("scoup.extract.pipeline.describe_masks", "the views are kept"),
-        ("scoup.uplift.build", "3 of 3 views are kept"),
+        ("scoup.uplift.build", "2 of 2 views are kept"),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(place, interrupt)
+            patch.setattr(place, Mock(side_effect=KeyboardInterrupt))
             code, said, error = run(*build)
         assert code == 130
         assert f"interrupted; {expected}, run the same command again to continue" in error
         assert "scoup extract" not in said  # which the build does itself
-
-
-def test_views_that_are_not_whole_are_replaced_on_request() -> None:
-    views = ("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
-    run_json(*views)
-    Path("alone_views/transforms.json").unlink()
-    said = refused("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
-    assert "alone_views/views.png: already exists; pass --overwrite" in said
+    kept = snapshot(folder)
+    said = run(*build)[1]
+    again = f"scoup views {SPLAT} --out 'all alone_views' --overwrite"
+    assert f"uses the existing views; to replace them: {again}" in said
+    assert "already there" in said
+    assert len(LanguageField.load("all alone.scoup").cameras or ()) == 2
+    assert snapshot(folder) == kept
+    (folder / "transforms.json").unlink()
+    Path("all alone.scoup").unlink()
+    assert "all alone_views/views.png: already exists; pass --overwrite" in refused(*build)
     run_json(*views, "--overwrite")
-    assert len(load_cameras("alone_views")) == 2
+    assert len(load_cameras(folder)) == 2
 
 
-@pytest.mark.parametrize(("options", "sign"), [((), -1), (("--keep-axes",), 1)])
-def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None:
+def test_up_in_the_axes_of_the_file() -> None:
     """-y of a PLY whose numbers an .spz keeps is +y of the scene."""
     save_gaussians(load_gaussians(SPLAT), "kept.spz", keep_axes=True)
-    run_json("views", "kept.spz", *SMALL, *options, "--views", 2, "--out", "own")
-    for camera in load_cameras("own"):
-        assert sign * -float(camera.viewmat[1, 1]) > 0
-    code, _, err = run("views", "kept.spz", *SMALL[:4], *options, "--views", 2, "--out", "guessed")
-    assert code == 0
-    assert "up is a guess" in err
-    assert "--keep-axes for" in err
+    for out, options, sign in (("plain", (), -1), ("axes", ("--keep-axes",), 1)):
+        run_json("views", "kept.spz", *SMALL, *options, "--views", 1, "--out", out)
+        assert sign * -float(load_cameras(out)[0].viewmat[1, 1]) > 0
+    said = warned("views", "kept.spz", *SMALL[:4], "--views", 1, "--out", "guessed")
+    assert "up is a guess" in said
+    assert "--keep-axes for" in said
 
 
-MISTAKES = {
-    "point cloud": ("--gaussians", "points.ply"), "splat of elsewhere": ("--gaussians", "elsewhere.ply"),
-    "table": ("--model", "table.npz"), "no table": ("--model", "missing.npz"),
-    "codebook": ("--codebook", "other.scoup"), "near plane": ("--raster-preset", "inria:-1"), "full disk": (),
-}  # fmt: skip
+BEFORE = {
+    "build, point cloud": "build scene --gaussians points.ply --no-check-fit",
+    "build, splat of elsewhere": "build scene --gaussians elsewhere.ply",
+    "build, table": "build scene --model table.npz --no-check-fit",
+    "build, no table": "build scene --model missing.npz --no-check-fit",
+    "build, codebook": "build scene --codebook f.scoup --no-check-fit",
+    "build, near plane": "build scene --raster-preset inria:-1 --no-check-fit",
+    "build, full disk": "build scene --no-check-fit",
+    "extract, point cloud": "extract scene --gaussians points.ply",
+    "extract, model of words": "extract scene --concepts words.txt --concept-model missing",
+    "extract, full disk": "extract scene",
+}
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", BEFORE)
 def test_a_mistake_is_found_before_the_first_photograph(
     mistake: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if mistake == "codebook":
-        run_json("build", "scene", *QUICK, "--no-check-fit", "--out", "other.scoup")
     gaussians = load_gaussians(SPLAT)
     photographs()
+    Path("words.txt").write_text("mug\n")
     Path("points.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
     )
     save_gaussians(replace(gaussians, means=gaussians.means + 1000), "elsewhere.ply")
     WordTable.save("table.npz", ["a", "b"], np.eye(2, 5))
-    monkeypatch.setattr("scoup.extract.felzenszwalb.Felzenszwalb.segment", _must_not_run)
-    if mistake == "full disk":
+    segmented = Mock(side_effect=AssertionError("a photograph was segmented"))
+    monkeypatch.setattr("scoup.extract.felzenszwalb.Felzenszwalb.segment", segmented)
+    if "full disk" in mistake:
         monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1))
-    check = () if mistake == "splat of elsewhere" else ("--no-check-fit",)
-    check_message(refused("build", "scene", *QUICK, *FREE, *check, *MISTAKES[mistake]))
-
-
-def test_extract_looks_at_its_disk_and_models_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    photographs()
-    monkeypatch.setattr("scoup.extract.felzenszwalb.Felzenszwalb.segment", _must_not_run)
-    Path("points.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
-    )
-    check_message(refused("extract", "scene", *FREE, "--gaussians", "points.ply"))
-    Path("words.txt").write_text("mug\n")
-    check_message(refused("extract", "scene", *FREE, "--concepts", "words.txt", "--concept-model", "missing"))
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1))
-    check_message(refused("extract", "scene", *FREE))
-
-
-def _must_not_run(*_: object) -> None:
-    raise AssertionError("a photograph was segmented")
+    check_message(refused(*BEFORE[mistake].split(), *FREE))

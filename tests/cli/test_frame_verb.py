@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from cli_support import BUILD, QUICK, add_words, printed, refused, run, run_json
+from cli_support import BUILD, QUICK, add_words, printed, refused, run_json
 from scoup.archive import Archive
 from scoup.base import WorldFrame
 from scoup.field import Field, read_facts
@@ -87,7 +87,7 @@ def test_a_file_keeps_its_tensors_and_older_readers_its_header() -> None:
     field.save("bits.scoup", weight_bits=8, embed_geometry=True)
     before = LanguageField.load("bits.scoup")
     size = Path("bits.scoup").stat().st_size
-    run("frame", "bits.scoup", *ALL)
+    run_json("frame", "bits.scoup", *ALL)
     after, facts = LanguageField.load("bits.scoup"), read_facts(Path("bits.scoup"))
     assert 0 < Path("bits.scoup").stat().st_size - size < 400
     assert torch.equal(before.code_weights, after.code_weights)
@@ -107,10 +107,10 @@ def test_building_transferring_and_cutting_keep_it() -> None:
     run_json("select", "f.scoup", "kettle", "--out", "kettle.scoup")
     assert frame_of("edited.scoup") == frame_of("kettle.scoup") == WORLD
     shutil.copy("f.scoup", "a.scoup")
-    assert run(*BUILD, "--overwrite", "--k", 2)[0] == 0
+    run_json(*BUILD, "--overwrite", "--k", 2)
     assert frame_of("a.scoup") == WORLD
     save_gaussians(load_gaussians("edited.ply"), "scene/point_cloud.ply", overwrite=True)
-    assert run(*BUILD, "--overwrite")[0] == 0
+    run_json(*BUILD, "--overwrite")
     assert frame_of("a.scoup") == WorldFrame(), "of other Gaussians"
 
 
@@ -118,10 +118,7 @@ def test_a_splat_with_a_place_on_earth_gives_its_field_one() -> None:
     run_json("frame", "f.scoup", *ALL)
     run_json("select", "f.scoup", "kettle", "--edit", "fade", "--out", "whole.spz")
     run_json("convert", "whole.spz", "again.spz")
-    assert (
-        run("build", "scene", *QUICK, "--gaussians", "again.spz", "--out", "b.scoup", "--no-check-fit")[0]
-        == 0
-    )
+    run_json("build", "scene", *QUICK, "--gaussians", "again.spz", "--out", "b.scoup", "--no-check-fit")
     found = frame_of("b.scoup")
     assert (found.metres_per_unit, found.up) == (0.5, pytest.approx(WORLD.up, abs=1e-9))
     assert found.origin == pytest.approx(WORLD.origin, abs=1e-6)
@@ -143,14 +140,11 @@ def test_verbs_answer_in_metres(verb: str) -> None:
     shutil.rmtree("scans", ignore_errors=True)
     set_frame(*ALL)
     record = run_json(*verb.split(), "--overwrite") if verb[0] != "a" else run_json(*verb.split())
-    framed = VERBS[verb](record)
     assert plain
     assert not any("position_metres" in each for each in plain)
-    for each in framed:
-        assert each["position_metres"] == pytest.approx([0.5 * value for value in each["position"]], abs=1e-5)
-        assert each["extent_metres"] == pytest.approx(
-            [0.5 * value for value in each["box"]["extent"]], abs=1e-5
-        )
+    for each in VERBS[verb](record):
+        for name, units in (("position", each["position"]), ("extent", each["box"]["extent"])):
+            assert each[f"{name}_metres"] == pytest.approx([0.5 * value for value in units], abs=1e-5)
         assert abs(each["box"]["axes"][2][2]) == 1, "boxes stand upright"
     if "frame" in record:
         assert (record["frame"]["metres_per_unit"], record["frame"]["name"]) == (0.5, "map")
@@ -162,23 +156,17 @@ def test_texts_pages_tables_and_labels_are_in_metres() -> None:
     before = run_json("catalog", "f.scoup")
     set_frame(*ALL)
     assert "scene units" not in printed(*ask)
-    for verb in ("catalog", "label"):
-        words = ("kettle",) if verb == "label" else ()
-        assert run(verb, "f.scoup", *words, "--overwrite", "--quiet")[0] == 0
-    page, labels = (
-        Path("f_catalog/index.html").read_text(),
-        json.loads(Path("f_labels/labels.json").read_text()),
-    )
+    run_json("catalog", "f.scoup", "--overwrite")
+    run_json("label", "f.scoup", "kettle")
+    page, labels = Path("f_catalog/index.html").read_text(), Path("f_labels/labels.json").read_text()
     assert " scene units" not in page
     assert " m<br>" in page
-    assert labels["frame"] == WORLD.to_dict()
-    rows = {
-        int(row["thing"]): row
-        for row in csv.DictReader(Path("f_catalog/catalog.csv").read_text().splitlines())
-    }
+    assert json.loads(labels)["frame"] == WORLD.to_dict()
     one = before["things"][0]
-    assert float(rows[one["thing"]]["x"]) == pytest.approx(0.5 * one["position"][0], abs=1e-4)
-    assert run("compare", "f.scoup", "f.scoup", "--quiet")[0] == 0
+    rows = csv.DictReader(Path("f_catalog/catalog.csv").read_text().splitlines())
+    (place,) = (float(row["x"]) for row in rows if row["thing"] == str(one["thing"]))
+    assert place == pytest.approx(0.5 * one["position"][0], abs=1e-4)
+    run_json("compare", "f.scoup", "f.scoup")
 
 
 def test_within_is_in_metres() -> None:

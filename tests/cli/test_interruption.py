@@ -8,11 +8,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
+from unittest.mock import Mock
 
 import pytest
 
-from children import child, finished
+from children import Child, child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from messages import check_message
 from scoup.base import locked, reserved_output
@@ -53,14 +54,12 @@ def names() -> set[str]:
 
 
 @contextmanager
-def stuck(*arguments: object) -> Iterator[Popen[str]]:
+def stuck(*arguments: object) -> Iterator[Child]:
     """The build, stuck after two views."""
     command = [sys.executable, "-c", STUCK, *arguments]
     with child(command) as process:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        while line and not line.startswith("two views"):
-            line = process.stdout.readline()
+        while not process.stdout.readline().startswith("two views"):
+            assert process.poll() is None
         yield process
 
 
@@ -145,10 +144,8 @@ ENDLESS = "(select count(*) from range(20000000000000)) > 0", "length(repeat('x'
     ("where", "number", "code"), [(ENDLESS[0], signal.SIGINT, 130), (ENDLESS[1], signal.SIGTERM, 143)]
 )
 def test_conditions_that_do_not_end_are_stopped(where: str, number: int, code: int) -> None:
-    pytest.importorskip("duckdb")
     printed("archive", "a", "--add", "f.scoup")
-    with child([PYTHON, "-c", WHERE, "archive", "a", "kettle", "--where", where]) as search:
-        assert search.stdout is not None
+    with child([sys.executable, "-c", WHERE, "archive", "a", "kettle", "--where", where]) as search:
         assert search.stdout.readline() == "asked\n"
         search.send_signal(number)
         _, err = search.communicate()
@@ -170,12 +167,9 @@ def test_conditions_that_do_not_end_are_stopped(where: str, number: int, code: i
 def test_where_nothing_is_kept_nothing_is_left(
     command: str, inside: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
     save_gaussians(load_gaussians("scene").select(slice(5, None)), "edited.ply")
     before = {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()}
-    monkeypatch.setattr(inside, interrupt)
+    monkeypatch.setattr(inside, Mock(side_effect=KeyboardInterrupt))
     code, _, err = run(*command.split())
     assert (code, err) == (130, "error: interrupted; nothing was written\n")
     assert not list(Path("new").rglob("*"))
@@ -186,9 +180,6 @@ def test_where_nothing_is_kept_nothing_is_left(
 def test_a_server_of_agents_ends_quietly_while_its_input_is_open(number: signal.Signals, code: int) -> None:
     pytest.importorskip("mcp", reason="needs scoup[mcp]")
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
-        assert server.stdin is not None
-        assert server.stdout is not None
-        assert server.stderr is not None
         assert "serving f" in server.stderr.readline()
         server.stdin.write("?\n")
         server.stdin.flush()

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json
+from cli_support import QUICK, printed, refused, run_json, warned
 from scoup.io import PlyTable, load_gaussians
 from scoup.query import LanguageField, Reshaping
 from scoup.query.edits import Edit, edited
@@ -60,8 +60,8 @@ def test_rows_that_are_not_finite_belong_to_nobody():
     data["x"][7] = np.nan
     table.__class__(table.path, data).write("scene/point_cloud.ply", overwrite=True)
     run_json("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
-    code, _, err = run("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
-    assert (code, len(err.splitlines())) == (0, 1)  # one warning, though the file is read twice
+    err = warned("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
+    assert len(err.splitlines()) == 1  # one warning, though the file is read twice
     assert PlyTable.read("live.ply").rows["state"][7] == 0
     run_json("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
     assert np.isfinite(PlyTable.read("rest.ply").rows["x"]).all()
@@ -96,7 +96,7 @@ def test_expressions_join_texts():
     assert record["expression"] == "kettle and not mug"
     assert list(record["chosen"]) == ["kettle", "mug"]
     assert record["selected"] == record["written"] < record["chosen"]["kettle"]
-    out = run("select", "f.scoup", "kettle and not mug", "--out", "b.ply")[1]
+    out = printed("select", "f.scoup", "kettle and not mug", "--out", "b.ply")
     assert f"kettle and not mug: {record['written']}" in out.splitlines()
     assert rows("a.ply") == rows("b.ply")
     for name, texts in (("c", ["kettle or mug"]), ("d", TEXTS)):

@@ -15,13 +15,13 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
-from children import child
+from children import Child, child
 from cli_support import RUN, printed, refused, run, run_json
 from scoup.view import export, page, viewer
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
@@ -75,15 +75,14 @@ ASKED = json.dumps({"texts": ["kettle"]}).encode()
 
 
 @contextmanager
-def served(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
+def served(before: str = "") -> Iterator[tuple[Child, urllib.request.Request]]:
     """A server in a process of its own, which runs some Python before, and a query to it."""
     command = [sys.executable, "-c", before + SERVE, "view", "f.scoup", "--port", "0", "--json"]
     with child(command) as process:
-        assert process.stdout is not None
         lines = []
         while not lines or lines[-1] != "}\n":
             lines.append(process.stdout.readline())
-            assert lines[-1], process.stderr and process.stderr.read()
+            assert lines[-1], process.stderr.read()
         yield process, urllib.request.Request(f"{json.loads(''.join(lines))['address']}api/query", ASKED)
 
 
@@ -107,7 +106,6 @@ def test_a_viewer_stops_quietly_while_requests_wait() -> None:
         visitors = [threading.Thread(target=ask, args=(query,)) for _ in range(3)]
         for visitor in visitors:
             visitor.start()
-        assert process.stdout is not None
         assert process.stdout.readline() == "asked\n"
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate()
@@ -148,8 +146,6 @@ REFUSED = {
 def test_every_line_is_answered_with_its_id_or_null() -> None:
     lines = [FIRST, SECOND, "", *(line for line, *_ in REFUSED.values()), call(5, '"kettle"')]
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE, text=False) as server:
-        assert server.stdin is not None
-        assert server.stdout is not None
         server.stdin.write("\n".join([*lines, ""]).encode("utf-8", "surrogateescape"))
         server.stdin.flush()
         told = [server.stdout.readline() for _ in range(len(REFUSED) + 2)]
@@ -167,6 +163,16 @@ def test_every_line_is_answered_with_its_id_or_null() -> None:
     }
 
 
+@contextmanager
+def served_over_http(before: str = "") -> Iterator[tuple[Child, urllib.request.Request]]:
+    """A server of agents, and a call with its token."""
+    with child([sys.executable, "-c", before + RUN, "mcp", "f.scoup", "--http", "0"]) as server:
+        address, header, _ = (server.stdout.readline().strip() for _ in range(3))
+        kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
+        kinds["Authorization"] = header.partition("n: ")[2]
+        yield server, urllib.request.Request(address, call(1, '"kettle"').encode(), kinds)
+
+
 @needs_mcp
 def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
     import httpx2
@@ -182,7 +188,7 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
             return json.loads(reply.content[0].text)
 
     async def talk(address: str, token: str) -> list[Any]:
-        known = {"Authorization": f"Bearer {token}"}
+        known = {"Authorization": token}
         answers = await asyncio.gather(*(found(address, known) for _ in range(3)))
         strangers = [
             ({}, 401),
@@ -197,15 +203,13 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
         assert large.status_code == 413
         return answers
 
-    with child([sys.executable, "-c", RUN, "mcp", "f.scoup", "--http", "0"]) as server:
-        assert server.stdout is not None
-        address, header, _ = (server.stdout.readline() for _ in range(3))
-        address, token = address.strip(), header.rpartition(" ")[2].strip()
-        head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:1\r\nAuthorization: Bearer {token}\r\n"
-        kinds = "Accept: application/json, text/event-stream\r\nContent-Type: application/json\r\n"
-        with socket.create_connection(("127.0.0.1", urlsplit(address).port)) as leaving:
-            leaving.sendall(f"{head}{kinds}Content-Length: 9\r\n\r\n{{".encode())
-        one, *others = asyncio.run(talk(address, token))
+    with served_over_http() as (server, asked):
+        head = "".join(f"{name}: {value}\r\n" for name, value in asked.header_items())
+        with socket.create_connection(("127.0.0.1", urlsplit(asked.full_url).port or 0)) as leaving:
+            leaving.sendall(
+                f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:1\r\n{head}Content-Length: 9\r\n\r\n{{".encode()
+            )
+        one, *others = asyncio.run(talk(asked.full_url, str(asked.get_header("Authorization"))))
         server.send_signal(signal.SIGTERM)
         _, said = server.communicate()
     assert one["things"]
@@ -225,17 +229,6 @@ SceneTools.find = find
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 
 
-@contextmanager
-def served_over_http(before: str = "") -> Iterator[tuple[Popen[str], urllib.request.Request]]:
-    """A server of agents, and a call with its token."""
-    with child([sys.executable, "-c", before + RUN, "mcp", "f.scoup", "--http", "0"]) as server:
-        assert server.stdout is not None
-        address, header, _ = (server.stdout.readline().strip() for _ in range(3))
-        kinds = {"Content-Type": "application/json", "Accept": "application/json, text/event-stream"}
-        kinds["Authorization"] = header.partition("n: ")[2]
-        yield server, urllib.request.Request(address, call(1, '"kettle"').encode(), kinds)
-
-
 @needs_mcp
 @pytest.mark.parametrize(("served_over", "number", "code"), [("pipes", *CODES[1]), ("http", *CODES[0])])
 def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int, code: int) -> None:
@@ -246,10 +239,8 @@ def test_servers_of_agents_stop_while_a_tool_runs(served_over: str, number: int,
         else:
             command = [sys.executable, "-c", STUCK + RUN, "mcp", "f.scoup"]
             server = stack.enter_context(child(command, stdin=PIPE))
-            assert server.stdin is not None
             server.stdin.write("\n".join([FIRST, SECOND, call(1, '"kettle"'), ""]))
             server.stdin.flush()
-        assert server.stderr is not None
         while server.stderr.readline() != "asked\n":
             assert server.poll() is None
         server.send_signal(number)
@@ -292,8 +283,6 @@ def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> No
     import termios
 
     with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
-        assert server.stdin is not None
-        assert server.stdout is not None
         page = fcntl.fcntl(server.stdout, fcntl.F_SETPIPE_SZ, 4096)
         lines = [FIRST, SECOND, *(call(number, '"kettle"') for number in range(1, 40)), ""]
         server.stdin.write("\n".join(lines))
@@ -303,7 +292,7 @@ def test_servers_of_agents_stop_while_nobody_reads(number: int, code: int) -> No
             fcntl.ioctl(server.stdout, termios.FIONREAD, waiting)
         server.send_signal(number)
         server.wait()
-        said = server.stderr.read() if server.stderr else ""
+        said = server.stderr.read()
     assert (server.returncode, said.count("Traceback")) == (code, 0), said
 
 
@@ -315,6 +304,4 @@ def test_ports_that_cannot_be_served_are_refused() -> None:
 
 @needs_mcp
 def test_a_token_that_nobody_sees_is_refused() -> None:
-    code, _, err = run("mcp", "f.scoup", "--http", "0", "--quiet")
-    assert code == 2
-    assert "--quiet hides the token" in err
+    assert "--quiet hides the token" in run("mcp", "f.scoup", "--http", "0", "--quiet")[2]

@@ -111,8 +111,6 @@ def told(out: str, record: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("command", VERBS)
 def test_a_verb(here: Path, command: str) -> None:
-    if "felzenszwalb" in command:
-        pytest.importorskip("skimage")
     splat = load_gaussians("scene")
     pasted = replace(splat, means=splat.means + 100).select([7])
     save_gaussians(joined(splat.select(slice(5, None)), pasted), "edited.ply")

@@ -10,6 +10,8 @@ from copy import deepcopy
 from random import Random
 from typing import Any
 
+import numpy as np
+
 LONGEST = 1 << 19  # bytes that damage may add to a file
 _WHOLE = (0, 1, -1, 2, 7, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
 _WIDE = (*_WHOLE, 10**12, 2**40, 2**48, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1, -(2**63))
@@ -59,8 +61,8 @@ def _number(random: Random, data: bytes) -> bytes:
     kind = random.choice("bhiiqqfd")
     order = random.choice("<<<>")
     if kind in "fd":
-        value = random.choice(_FLOATS)
-        packed = struct.pack(order + "d", value) if kind == "d" else _float32(order, value)
+        with np.errstate(over="ignore"):
+            packed = np.array(random.choice(_FLOATS)).astype(order + kind).tobytes()
     else:
         width = struct.calcsize(kind)
         whole = random.choice(_WIDE) & (1 << 8 * width) - 1
@@ -69,13 +71,6 @@ def _number(random: Random, data: bytes) -> bytes:
     if random.random() < 0.7:
         place -= place % len(packed)
     return data[:place] + packed + data[place + len(packed) :]
-
-
-def _float32(order: str, value: float) -> bytes:
-    try:
-        return struct.pack(order + "f", value)
-    except OverflowError:
-        return struct.pack(order + "f", float("inf"))
 
 
 def _replace(random: Random, data: bytes) -> bytes:
