@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from scoup.extract import ExtractReport, Photograph, PhotographChoice
     from scoup.models import ConceptModel
 
-MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
-
 
 @dataclass(frozen=True, kw_only=True)
 class PhotographOptions:
@@ -158,9 +156,7 @@ class Extract:
                 "one pass per photograph, with somewhat other answers (docs/extract.md)"
             )
         with _extracting(console, out, part) as progress:
-            report = extract(
-                chosen, out, segmenter, embedder, MAX_HEIGHT, overwrite, part, progress, views is not None
-            )
+            report = extract(chosen, out, segmenter, embedder, overwrite, part, progress, views is not None)
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
@@ -209,9 +205,7 @@ class Extract:
         wanted, count = self.photographs, len(choice.photographs)
         try:
             with console.progress() as progress:
-                chosen = choice.choose(
-                    gaussians=wanted.gaussians, images=wanted.images, max_height=MAX_HEIGHT, progress=progress
-                )
+                chosen = choice.choose(wanted.gaussians, wanted.images, progress)
         except InputError as error:
             if wanted.views is not None:
                 raise
@@ -244,7 +238,7 @@ class Extract:
         folder = out / DetectionStore.FOLDER
         with console.progress() as progress:
             report = extract_concepts(
-                photographs, folder, model, words, MAX_HEIGHT, self.common.overwrite, part, progress
+                photographs, folder, model, words, self.common.overwrite, part, progress
             )
         seconds = sum(report.seconds.values())
         console.say(

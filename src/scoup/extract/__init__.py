@@ -7,7 +7,7 @@ from scoup.extract.concepts import extract_concepts
 from scoup.extract.mask_report import report_masks
 from scoup.extract.masks import Masks
 from scoup.extract.own_views import ViewsFolder, choose_cameras, save_views
-from scoup.extract.photograph_choice import PhotographChoice, choose_photographs
+from scoup.extract.photograph_choice import PhotographChoice
 from scoup.extract.photographs import Photograph, find_photographs
 from scoup.extract.pipeline import ExtractReport, crops_minutes, embed_image, extract, lacks_views
 from scoup.extract.registry import model_tables, open_embedder, open_pair, open_segmenter
@@ -20,7 +20,6 @@ __all__ = [
     "PhotographChoice",
     "ViewsFolder",
     "choose_cameras",
-    "choose_photographs",
     "crops_minutes",
     "embed_image",
     "extract",
