@@ -133,27 +133,35 @@ class Build:
         made = paths.features(to_make=True)
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
-        self.check()
+        dimensions = self.check()
         return Extract(
             scene=self.scene,
             photographs=PhotographOptions(gaussians=self.parts.gaussians, images=self.parts.images),
             hidden=self.hidden,
             models=ModelOptions(segmenter=self.method.segmenter, embedder=embedder),
             common=AllCommon(device=self.common.device),
-        ).make(console, self._check_dim)
+        ).make(console, dimensions)
 
-    def check(self) -> None:
-        """Look at all that a build needs but regions, before the photographs are cut into them: that may take hours."""
+    def check(self) -> dict[str, int]:
+        """Look at all that a build needs but regions, before the photographs are cut into them: that may take hours.
+
+        Returns:
+            The dimensions that embeddings must have, by the file that needs them.
+        """
         from scoup.field import Field
         from scoup.io import ScenePaths, load_gaussians
         from scoup.models import WordTable, check_model
         from scoup.scene import Cameras
         from scoup.uplift import check_scene
 
+        dimensions = {}
         if (model := self.method.model) is not None:
-            _ = WordTable.load(model) if WordTable.is_meant(model) else check_model(model)
-        if self.coding.codebook is not None:
-            Field.load(self.coding.codebook)
+            if WordTable.is_meant(model):
+                dimensions[model] = WordTable.load(model).vectors.shape[1]
+            else:
+                check_model(model)
+        if (codebook := self.coding.codebook) is not None:
+            dimensions[str(codebook)] = Field.load(codebook).dim
         splat = ScenePaths(self.scene).splat(self.parts.gaussians)
         settings = self._settings(splat.preset)
         gaussians = load_gaussians(splat.path).to(self.common.device)
@@ -163,26 +171,7 @@ class Build:
         cameras = self.parts.load_cameras(self.scene)
         shown = Cameras(camera for camera in cameras if camera.image_path)
         check_scene(gaussians, shown if len(shown) else cameras, settings, splat.path)
-
-    def _check_dim(self, dim: int) -> None:
-        """Refuse embeddings of another size than the word table or the codebook has."""
-        from scoup.field import Field
-        from scoup.models import WordTable
-
-        model, codebook = self.method.model, self.coding.codebook
-        sizes = (
-            {}
-            if model is None or not WordTable.is_meant(model)
-            else {model: WordTable.load(model).vectors.shape[1]}
-        )
-        if codebook is not None:
-            sizes[str(codebook)] = Field.load(codebook).dim
-        for name, size in sizes.items():
-            if size != dim:
-                raise InputError(
-                    f"{name}: contains vectors of {size} dimensions, but the embedder makes embeddings of {dim}; "
-                    "use the one made with the same model"
-                )
+        return dimensions
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
@@ -272,14 +261,16 @@ class Build:
         return build_settings(self.method.preset, **changes, raster_preset=preset, check_fit=check_fit)
 
     def _load(self, console: Console) -> _Loaded:
-        from scoup.io import DetectionStore, ScenePaths, load_gaussians
+        from scoup.io import DetectionStore, ScenePaths, load_gaussians, load_regions
         from scoup.uplift import embedding_source
 
-        splat = ScenePaths(self.scene).splat(self.parts.gaussians)
+        paths = ScenePaths(self.scene)
+        splat = paths.splat(self.parts.gaussians)
         source = splat.path
         settings = self._settings(splat.preset)  # a mistake shows before the long work
         gaussians = load_gaussians(source).to(self.common.device)
-        cameras, regions, features = self.parts.load_views(self.scene)
+        cameras, features = self.parts.load_cameras(self.scene), paths.features(self.parts.features)
+        regions = load_regions(features, cameras)
         model, words = embedding_source(features, regions, self.method.model)
         if words is None:
             model = model or _usual_model(regions)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,8 +105,8 @@ class Extract:
         else:
             console.result(self.make(console))
 
-    def make(self, console: Console, check: Callable[[int], None] = lambda dim: None) -> dict[str, Any]:
-        """Extract and report; returns what the result says. ``check`` may refuse embeddings of so many dimensions."""
+    def make(self, console: Console, dimensions: Mapping[str, int] | None = None) -> dict[str, Any]:
+        """Extract and report; returns what the result says. Embeddings must have the ``dimensions`` of these files."""
         from scoup.cli.views import is_splat
         from scoup.extract import (
             PhotographChoice,
@@ -146,7 +146,12 @@ class Extract:
         segmenter, embedder = open_pair(
             segmenter_name, self.models.embedder, settings, self.common.device, None if overwrite else out
         )
-        check(embedder.dim)
+        for name, size in (dimensions or {}).items():
+            if size != embedder.dim:
+                raise InputError(
+                    f"{name}: contains vectors of {size} dimensions, but the embedder makes embeddings of "
+                    f"{embedder.dim}; use the one made with the same model"
+                )
         views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
         is_dense_too = not embedder.name.startswith("open_clip:")
