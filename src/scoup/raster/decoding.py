@@ -1,4 +1,4 @@
-"""Values of codes at pixels: cosines and features from coefficients, and colours from spherical harmonics."""
+"""Values of codes at pixels: cosines from coefficients, and colours from spherical harmonics."""
 
 from __future__ import annotations
 
@@ -32,13 +32,6 @@ def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Te
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
     cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
     return cosines, torch.where(squared_norm > 0, norm, 0.0)[..., 0]
-
-
-def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
-    """Return [..., D] decoded codes of unit norm from coefficients [..., L] and a codebook [L, D]; zero where all
-    coefficients are zero.
-    """
-    return torch.nn.functional.normalize(weights @ codebook, dim=-1)
 
 
 def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:
