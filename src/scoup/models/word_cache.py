@@ -44,10 +44,7 @@ class CachedTexts:
     """A text model that is opened at the first phrase that the user's cache lacks.
 
     A vector depends on the other phrases only in that many at once are encoded together: not on what is cached.
-
-    Args:
-        name, revision, device: of the model, as ``TextEncoder.open`` takes them.
-        load: opens it; returns its encoder, whose vectors have unit norm, and its identity.
+    ``load`` opens the model; its encoder returns vectors of unit norm.
     """
 
     def __init__(
