@@ -21,13 +21,12 @@ import torch
 from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
-from scoup.raster.combinations import CombinedLabels, combine
-from scoup.raster.decoding import cosines_from_codes, view_colors
+from scoup.raster.combinations import CombinedLabels, ViewSums, combine, merge
+from scoup.raster.decoding import cosines_and_norms, view_colors
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME, morton_codes, morton_order, restored
 from scoup.raster.presets import RASTER_PRESETS, RasterPreset, raster_preset
 from scoup.raster.reference import ReferenceProjection
-from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ __all__ = [
     "Projection",
     "ViewSums",
     "combine",
-    "cosines_from_codes",
+    "cosines_and_norms",
     "merge",
     "morton_codes",
     "morton_order",

@@ -14,11 +14,10 @@ import torch
 from torch import Tensor
 
 from scoup.raster.binning import Bins, bin_to_tiles
-from scoup.raster.combinations import CombinedLabels
+from scoup.raster.combinations import CombinedLabels, merge
 from scoup.raster.decoding import cosines_and_norms
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
-from scoup.raster.view_sums import merge
 from scoup.scene import Camera, Gaussians, check_atoms, rows_of
 
 PREPARES = False  # the order of the rows makes no difference to the speed
