@@ -69,10 +69,9 @@ class Build:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
         from scoup.field import doubt_of
-        from scoup.uplift import fitting_scene
+        from scoup.uplift import RegionSums, fitting_scene
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -92,7 +91,10 @@ class Build:
         loaded = self._load(console)
         started = time.perf_counter()
         with reserved_output(out, self.common.overwrite) as work:
-            sums = self._region_sums(loaded, work / "sums")
+            if self.region_sums.sums is not None:
+                sums = RegionSums.open(self.region_sums.sums)
+            else:
+                sums = self._open_sums(loaded, self.region_sums.keep_sums or work / "sums")
             field = with_frame_of(out, self._build(console, loaded, sums))
             field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
@@ -281,14 +283,6 @@ class Build:
         store = DetectionStore.beside(features)
         concepts = None if store is None else (store.texts, store.of(regions.view_names))
         return _Loaded(gaussians, cameras, regions, source, settings, model, words, concepts)
-
-    def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
-        """Return the sums named, or new ones in a temporary folder."""
-        from scoup.uplift import RegionSums
-
-        if self.region_sums.sums is not None:
-            return RegionSums.open(self.region_sums.sums)
-        return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
 
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
         from scoup.uplift import cameras_with_regions, open_sums

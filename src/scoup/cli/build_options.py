@@ -87,7 +87,6 @@ class SceneOptions:
     """Skip the check that small renders of the splat match the photographs."""
 
     def load_cameras(self, scene: Path) -> Cameras:
-        """Return the cameras of a scene."""
         from scoup.io import load_cameras
 
         distorted = "undistort" if self.undistort else "refuse"

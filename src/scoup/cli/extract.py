@@ -97,7 +97,6 @@ class Extract:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Extract and report, list the models, or draw regions."""
         if self.models.list_models:
             _list_models(console)
         elif self.show is not None:

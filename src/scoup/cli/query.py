@@ -81,7 +81,6 @@ class Query:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Answer every text in every view asked for, and in the world."""
         from scoup.base import write_text
         from scoup.pictures import check_video_writer
         from scoup.query import AnswerFiles

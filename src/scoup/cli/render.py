@@ -47,7 +47,6 @@ class Render:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Render each camera asked for."""
         from scoup.io import save_png
         from scoup.pictures import save_frames
         from scoup.query import drawing

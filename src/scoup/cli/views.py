@@ -46,7 +46,6 @@ class MakeViews:
     common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
-        """Choose, render, report."""
         from scoup.extract import SHEET
 
         record = self.make(console)
