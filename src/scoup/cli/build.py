@@ -71,7 +71,7 @@ class Build:
     def run(self, console: Console) -> None:
         from scoup.cli.views import is_splat
         from scoup.field import doubt_of
-        from scoup.uplift import RegionSums, fitting_scene
+        from scoup.uplift import fitting_scene
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
@@ -91,10 +91,7 @@ class Build:
         loaded = self._load(console)
         started = time.perf_counter()
         with reserved_output(out, self.common.overwrite) as work:
-            if self.region_sums.sums is not None:
-                sums = RegionSums.open(self.region_sums.sums)
-            else:
-                sums = self._open_sums(loaded, self.region_sums.keep_sums or work / "sums")
+            sums = self._open_sums(loaded, self.region_sums.keep_sums or work / "sums")
             field = with_frame_of(out, self._build(console, loaded, sums))
             field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
@@ -285,8 +282,11 @@ class Build:
         return _Loaded(gaussians, cameras, regions, source, settings, model, words, concepts)
 
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
-        from scoup.uplift import cameras_with_regions, open_sums
+        """Return the sums that are named, or those to complete in the folder."""
+        from scoup.uplift import RegionSums, cameras_with_regions, open_sums
 
+        if self.region_sums.sums is not None:
+            return RegionSums.open(self.region_sums.sums)
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         return open_sums(folder, loaded.gaussians, loaded.regions, loaded.settings, views)
 

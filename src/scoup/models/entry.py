@@ -49,7 +49,7 @@ class ModelEntry(Entry):
 
     def cells(self) -> dict[str, str]:
         """Return column -> text."""
-        # Weights that the user names, or that there are none of, are nowhere.
+        # "-": the user names the weights, or there are none.
         weights = "-" if self.file is None else "here" if is_cached(*self.file) else "not here"
         return {
             "name": self.name,

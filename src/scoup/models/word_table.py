@@ -73,9 +73,7 @@ class WordTable:
             raise
         except OSError as error:
             raise FileFormatError.unreadable(path, error) from error
-        except (
-            Exception
-        ) as error:  # zip, zlib, json, struct, numpy and safetensors each raise kinds of their own
+        except Exception as error:  # zip, zlib, json, numpy and safetensors raise kinds of their own
             raise FileFormatError(path, "is not a readable table of text embeddings", _REMEDY) from error
 
     @classmethod
