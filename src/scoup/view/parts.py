@@ -60,8 +60,8 @@ class Parts:
             chosen = number == index
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
             parts.append(self._decimated(rows[chosen], most, copies[chosen]))
-        named = [shown.gaussians.tensors() for shown in parts]
-        joined = Gaussians(**{name: torch.cat([of_part[name] for of_part in named]) for name in named[0]})
+        tensors = zip(*(shown.gaussians.tensors().values() for shown in parts), strict=True)
+        joined = Gaussians(*map(torch.cat, tensors))
         rows_of_parts = [shown.rows for shown in parts]
         return PageGaussians(joined, torch.cat(rows_of_parts)), [*map(len, rows_of_parts)]
 
