@@ -12,8 +12,10 @@ import torch
 from extract.test_pipeline import scene
 from mask_samples import smooth_image
 from messages import refuses
-from scoup.extract import choose_photographs, find_photographs
+from scoup.base import no_progress
+from scoup.extract import find_photographs
 from scoup.extract.photograph_choice import (
+    PhotographChoice,
     points_as_gaussians,
     rank_views,
     relative_sharpness,
@@ -95,7 +97,8 @@ def test_photographs_come_by_what_they_add(tmp_path: Path, monkeypatch: pytest.M
     write_colmap(cameras, folder / "sparse" / "0", (np.zeros((1, 3)), np.zeros((1, 3), np.uint8)))
     monkeypatch.setattr("scoup.extract.photograph_choice._surface", lambda *_: ball())
     monkeypatch.setattr("scoup.extract.photograph_choice.rank_views", lambda *_: [2, 0])
-    chosen = choose_photographs(folder, find_photographs(folder), 2)
+    choice = PhotographChoice(folder, find_photographs(folder), 2, ())
+    chosen = choice.choose(None, None, no_progress)
     assert [item.name for item in chosen] == ["2.png", "0.png"]
 
 

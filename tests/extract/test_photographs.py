@@ -90,7 +90,7 @@ def test_depths_and_modes(tmp_path: Path) -> None:
 
 def test_high_photographs_are_reduced_as_langsplat_does(tmp_path: Path) -> None:
     Image.fromarray(smooth_image(100, 77)).save(tmp_path / "a.png")
-    for most, size in ((60, (60, 46)), (100, (100, 77)), (None, (100, 77))):  # 46.2, truncated
+    for most, size in ((60, (60, 46)), (100, (100, 77))):  # 46.2, truncated
         assert read_photograph(tmp_path / "a.png", most).image.shape == (*size, 3)
 
 
@@ -109,13 +109,13 @@ def test_reading_ahead_keeps_order_and_errors(tmp_path: Path) -> None:
         Image.fromarray(np.full((4, 5, 3), number, np.uint8)).save(tmp_path / f"{number}.png")
     (tmp_path / "3.png").write_text("damaged")
     photographs = [Photograph(f"{number}.png", tmp_path / f"{number}.png") for number in range(7)]
-    seen = list(read_ahead(photographs, None))
+    seen = list(read_ahead(photographs))
     assert [item.name for item, _ in seen] == [f"{number}.png" for number in range(7)]
     assert isinstance(seen.pop(3)[1], ScoupError)
     for item, result in seen:
         assert not isinstance(result, ScoupError)
         assert (result.image == int(item.name[0])).all()
-    stopped = read_ahead(photographs, None)
+    stopped = read_ahead(photographs)
     next(stopped)
     stopped.close()  # interrupted: the threads end
 
@@ -166,7 +166,7 @@ def test_masks_of_other_programs(tmp_path: Path, place: str, cameras: bool) -> N
         write_colmap(Cameras([make_camera(30, 20, name="cam.1/a.jpg")]), tmp_path / "sparse/0")
     (item,) = find_photographs(tmp_path)
     assert item.mask == tmp_path / PLACES[place]
-    (_, pixels), *_ = read_ahead([item], None)
+    (_, pixels), *_ = read_ahead([item])
     assert isinstance(pixels, Pixels)
     assert pixels.masked is not None
     assert (pixels.masked == LEFT).all()
@@ -248,5 +248,5 @@ def test_threads_that_decode_leave_the_filters_of_warnings_alone(tmp_path: Path,
 
     photographs = [Photograph(path.name, path) for path in sorted(tmp_path.iterdir())]
     monkeypatch.setattr(warnings, "catch_warnings", Recorded)
-    assert len(list(read_ahead(photographs, None))) == 5
+    assert len(list(read_ahead(photographs))) == 5
     assert set(entered) == {threading.main_thread()}

@@ -152,14 +152,15 @@ def test_damaged_views_and_changed_photographs_are_done_again(tmp_path: Path, ki
         assert (report.made, report.kept) == (expected, 4 - len(expected))
 
 
-def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
+def test_changed_settings_are_refused_with_a_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, cameras = scene(tmp_path)
     photographs, out = find_photographs(folder), tmp_path / "out"
     extract(photographs, out, Blocks(), PlainColors())
     before = snapshot(out)
     for side, most in ((8, 10), (16, 1080)):
-        with refuses():
-            extract(photographs, out, Blocks(side), PlainColors(), max_height=most)
+        with refuses(), monkeypatch.context() as patch:
+            patch.setattr(pipeline, "MAX_HEIGHT", most)
+            extract(photographs, out, Blocks(side), PlainColors())
     assert snapshot(out) == before
     # Given up for other settings, and interrupted: what is left of the old ones does not count.
     with pytest.raises(KeyboardInterrupt):

@@ -15,7 +15,7 @@ from raster.parity import needs_native
 from scoup.field import code_sums, relevancy
 from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
 from scoup.field.cosines import FieldCodes
-from scoup.raster import cosines_from_codes
+from scoup.raster import cosines_and_norms
 from scoup.scene import SparseCodes
 from support import examples, threads_of_torch, unit
 
@@ -96,7 +96,8 @@ def test_relevancy_is_that_of_decoded_codes(codes: Coded, by_torch: bool) -> Non
     found = getattr(code_sums, f"{prefix}code_relevancy")(*arrays, queries, norms, best, 10.0)
     for level, atoms in enumerate(codes.codebook):
         rows = SparseCodes(codes.indices[:, level], codes.weights[:, level].float(), len(atoms)).to_dense()
-        cosines = cosines_from_codes(rows.double(), atoms.double(), codes.vectors.double()).T[None]
+        wide, vectors = atoms.double(), codes.vectors.double()
+        cosines = cosines_and_norms(rows.double(), wide @ vectors.T, wide @ wide.T)[0].T[None]
         expected = relevancy(cosines[:, 1:], cosines[:, :1])[0]
         torch.testing.assert_close(found[:, level].double(), expected, rtol=0, atol=2e-3)
 

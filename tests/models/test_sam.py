@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -109,17 +108,13 @@ def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
         assert torch.allclose(found, logits, atol=1e-3) == (name == "same")
 
 
-def test_pickled_weights_and_models_of_newer_packages_are_refused(tmp_path: Path, monkeypatch) -> None:
+def test_pickled_weights_are_refused(tmp_path: Path) -> None:
     folder = saved(TINY_SAMS["sam"](), tmp_path / "pickled")
     (folder / "model.safetensors").unlink()
     torch.save(TINY_SAMS["sam"]().state_dict(), folder / "pytorch_model.bin")
     if int(version("transformers").split(".")[0]) >= 5:  # older ones read it, and of pickles the weights only
         with pytest.raises(ScoupError, match="cannot be loaded"):
             open_sam(str(folder))
-    newer = str(saved(TINY_SAMS["sam2"](), tmp_path / "sam2"))
-    monkeypatch.setattr(sys.modules["transformers"], "Sam2Model", None)  # an older transformers
-    with pytest.raises(ScoupError, match="has no sam2"):
-        open_sam(newer)
 
 
 TEXTS = ("red apple", "chair", "lamp")

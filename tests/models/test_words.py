@@ -19,7 +19,6 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from children import finished
 from messages import refuses
 from scoup.base import (
     FileFormatError,
@@ -194,14 +193,6 @@ def test_a_dict_is_an_encoder() -> None:
     for vectors in ({}, table, {"a": torch.ones(2, 2)}, {"a": 0 * ones}, {"a": torch.nan * ones}, {3: ones}):
         with refuses():
             TextEncoder.open(vectors)  # pyright: ignore[reportArgumentType]
-
-
-def test_the_list_is_read_when_it_is_needed(preloaded_python: str) -> None:
-    program = (
-        "import scoup.models.text, scoup.models.words as words; assert 'EVERYDAY_WORDS' not in vars(words); "
-        "assert words.EVERYDAY_WORDS is words.EVERYDAY_WORDS; assert not hasattr(words, 'OTHER_WORDS')"
-    )
-    finished([preloaded_python, "-c", program], check=True)
 
 
 def test_everyday_words() -> None:

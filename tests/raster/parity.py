@@ -14,9 +14,9 @@ from torch import Tensor
 from scoup import raster
 from scoup.base import native_core
 from scoup.base.native import missing_reason
+from scoup.raster.combinations import ViewSums
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
-from scoup.raster.view_sums import ViewSums
 from scoup.scene import Camera, Gaussians, index_dtype
 from support import random_labels, unit
 

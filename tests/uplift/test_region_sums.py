@@ -89,7 +89,7 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
                 # What a Gaussian paints of a region is what a picture of it alone gains there.
                 weight = torch.zeros(len(gaussians))
                 for tile, ids, weights in reference.tile_weights(projection):
-                    tiled = reference.to_tiles(chosen[None], projection.bins, fill=0)[tile, 0]
+                    tiled = reference.to_tiles(chosen, projection.bins, fill=0)[tile]
                     weight[ids] += weights @ tiled
                 np.testing.assert_allclose(
                     matrix[:, part.start + region], weight.numpy(), rtol=1e-3, atol=1e-4

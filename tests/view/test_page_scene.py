@@ -28,8 +28,7 @@ from scoup.field.code_sums import code_scores
 from scoup.scene import SH_C0, Camera, Cameras
 from scoup.view.decimation import decimate
 from scoup.view.packing import byte_planes, packed
-from scoup.view.scene_data import surroundings
-from scoup.view.unit_codes import UnitCodes, atom_scores
+from scoup.view.scene_data import UnitCodes, atom_scores, surroundings
 from scoup.view.viewed_field import ViewedField
 from support import KINDS, examples, random_gaussians, unit
 

@@ -68,7 +68,6 @@ class SearchArchive:
     common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
-        """Add, remove, list, search."""
         scan, search = self.scan, self.search
         is_search = self.question is not None or search.image is not None
         changes = bool(scan.add), bool(scan.remove), scan.list_scans

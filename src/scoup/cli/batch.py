@@ -74,7 +74,6 @@ class Batch:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> int:
-        """Build what is missing, add it to the archive, report."""
         from scoup.archive import Archive
 
         check_number("--jobs", self.jobs, 1)

@@ -69,7 +69,6 @@ class Build:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Make what the scene lacks, build, save and report."""
         from scoup.cli.views import is_splat
         from scoup.field import doubt_of
         from scoup.uplift import fitting_scene
@@ -92,7 +91,7 @@ class Build:
         loaded = self._load(console)
         started = time.perf_counter()
         with reserved_output(out, self.common.overwrite) as work:
-            sums = self._region_sums(loaded, work / "sums")
+            sums = self._open_sums(loaded, self.region_sums.keep_sums or work / "sums")
             field = with_frame_of(out, self._build(console, loaded, sums))
             field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
@@ -133,27 +132,35 @@ class Build:
         made = paths.features(to_make=True)
         if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
-        self.check()
+        dimensions = self.check()
         return Extract(
             scene=self.scene,
             photographs=PhotographOptions(gaussians=self.parts.gaussians, images=self.parts.images),
             hidden=self.hidden,
             models=ModelOptions(segmenter=self.method.segmenter, embedder=embedder),
             common=AllCommon(device=self.common.device),
-        ).make(console, self._check_dim)
+        ).make(console, dimensions)
 
-    def check(self) -> None:
-        """Look at all that a build needs but regions, before the photographs are cut into them: that may take hours."""
+    def check(self) -> dict[str, int]:
+        """Look at all that a build needs but regions, before the photographs are cut into them: that may take hours.
+
+        Returns:
+            The dimensions that embeddings must have, by the file that needs them.
+        """
         from scoup.field import Field
         from scoup.io import ScenePaths, load_gaussians
         from scoup.models import WordTable, check_model
         from scoup.scene import Cameras
         from scoup.uplift import check_scene
 
+        dimensions = {}
         if (model := self.method.model) is not None:
-            _ = WordTable.load(model) if WordTable.is_meant(model) else check_model(model)
-        if self.coding.codebook is not None:
-            Field.load(self.coding.codebook)
+            if WordTable.is_meant(model):
+                dimensions[model] = WordTable.load(model).vectors.shape[1]
+            else:
+                check_model(model)
+        if (codebook := self.coding.codebook) is not None:
+            dimensions[str(codebook)] = Field.load(codebook).dim
         splat = ScenePaths(self.scene).splat(self.parts.gaussians)
         settings = self._settings(splat.preset)
         gaussians = load_gaussians(splat.path).to(self.common.device)
@@ -163,26 +170,7 @@ class Build:
         cameras = self.parts.load_cameras(self.scene)
         shown = Cameras(camera for camera in cameras if camera.image_path)
         check_scene(gaussians, shown if len(shown) else cameras, settings, splat.path)
-
-    def _check_dim(self, dim: int) -> None:
-        """Refuse embeddings of another size than the word table or the codebook has."""
-        from scoup.field import Field
-        from scoup.models import WordTable
-
-        model, codebook = self.method.model, self.coding.codebook
-        sizes = (
-            {}
-            if model is None or not WordTable.is_meant(model)
-            else {model: WordTable.load(model).vectors.shape[1]}
-        )
-        if codebook is not None:
-            sizes[str(codebook)] = Field.load(codebook).dim
-        for name, size in sizes.items():
-            if size != dim:
-                raise InputError(
-                    f"{name}: contains vectors of {size} dimensions, but the embedder makes embeddings of {dim}; "
-                    "use the one made with the same model"
-                )
+        return dimensions
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
@@ -272,14 +260,16 @@ class Build:
         return build_settings(self.method.preset, **changes, raster_preset=preset, check_fit=check_fit)
 
     def _load(self, console: Console) -> _Loaded:
-        from scoup.io import DetectionStore, ScenePaths, load_gaussians
+        from scoup.io import DetectionStore, ScenePaths, load_gaussians, load_regions
         from scoup.uplift import embedding_source
 
-        splat = ScenePaths(self.scene).splat(self.parts.gaussians)
+        paths = ScenePaths(self.scene)
+        splat = paths.splat(self.parts.gaussians)
         source = splat.path
         settings = self._settings(splat.preset)  # a mistake shows before the long work
         gaussians = load_gaussians(source).to(self.common.device)
-        cameras, regions, features = self.parts.load_views(self.scene)
+        cameras, features = self.parts.load_cameras(self.scene), paths.features(self.parts.features)
+        regions = load_regions(features, cameras)
         model, words = embedding_source(features, regions, self.method.model)
         if words is None:
             model = model or _usual_model(regions)
@@ -291,17 +281,12 @@ class Build:
         concepts = None if store is None else (store.texts, store.of(regions.view_names))
         return _Loaded(gaussians, cameras, regions, source, settings, model, words, concepts)
 
-    def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
-        """Return the sums named, or new ones in a temporary folder."""
-        from scoup.uplift import RegionSums
+    def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
+        """Return the sums that are named, or those to complete in the folder."""
+        from scoup.uplift import RegionSums, cameras_with_regions, open_sums
 
         if self.region_sums.sums is not None:
             return RegionSums.open(self.region_sums.sums)
-        return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
-
-    def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
-        from scoup.uplift import cameras_with_regions, open_sums
-
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         return open_sums(folder, loaded.gaussians, loaded.regions, loaded.settings, views)
 

@@ -13,7 +13,7 @@ from scoup.cli.options import arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
-    from scoup.scene import Cameras, Regions
+    from scoup.scene import Cameras
     from scoup.uplift import RegionSums
 
 
@@ -87,21 +87,12 @@ class SceneOptions:
     """Skip the check that small renders of the splat match the photographs."""
 
     def load_cameras(self, scene: Path) -> Cameras:
-        """Return the cameras of a scene."""
         from scoup.io import load_cameras
 
         distorted = "undistort" if self.undistort else "refuse"
         return load_cameras(
             scene, self.images, distorted=distorted, dataparser_transforms=self.dataparser_transforms
         )
-
-    def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
-        """Return cameras and regions of a scene, and the folder of the regions."""
-        from scoup.io import ScenePaths, load_regions
-
-        cameras = self.load_cameras(scene)
-        features = ScenePaths(scene).features(self.features)
-        return cameras, load_regions(features, cameras), features
 
 
 def passed_options(options: Any) -> dict[str, Any]:
@@ -150,8 +141,10 @@ def report_field(
         n_views, sums_bytes = sums.stored_size()
         console.say(f"{sums.path}: {sums_bytes / 1e6:.1f} MB of region sums, {counted(n_views, 'view')}")
         record |= {"sums": sums.path, "sums_bytes": sums_bytes}
-    peak = _peak_gpu_memory(device)
-    if peak is not None:
+    if device != "cpu":
+        import torch
+
+        peak = torch.cuda.max_memory_allocated(device)
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")
         record["peak_gpu_bytes"] = peak
     record |= {"bytes": size, "gaussians": len(field), "coded": coded, "views": views}
@@ -169,12 +162,3 @@ def with_frame_of(out: Path, field: Field) -> Field:
             if facts["fingerprint"] == field.fingerprint:
                 return field.with_world(WorldFrame.of_header(facts))
     return field
-
-
-def _peak_gpu_memory(device: str) -> int | None:
-    """Return the most bytes that tensors took on a GPU so far; None for the CPU."""
-    if device == "cpu":
-        return None
-    import torch
-
-    return torch.cuda.max_memory_allocated(device)

@@ -29,7 +29,6 @@ class MakeCatalog:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Name, relate and write."""
         from scoup.io import read_words
         from scoup.query import save_catalog
 

@@ -41,7 +41,6 @@ class CompareCaptures:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Compare and write."""
         from scoup.io import read_similarity, read_words
         from scoup.query import compare, save_comparison
 

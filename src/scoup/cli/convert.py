@@ -72,7 +72,6 @@ class Convert:
     common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
-        """Convert and report."""
         from scoup.io import is_splat_name
 
         suffix = self.source.suffix.lower()

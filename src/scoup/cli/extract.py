@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from scoup.base import Part, Progress
     from scoup.extract import ExtractReport, Photograph, PhotographChoice
     from scoup.models import ConceptModel
-
-MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +97,6 @@ class Extract:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Extract and report, list the models, or draw regions."""
         if self.models.list_models:
             _list_models(console)
         elif self.show is not None:
@@ -107,8 +104,8 @@ class Extract:
         else:
             console.result(self.make(console))
 
-    def make(self, console: Console, check: Callable[[int], None] = lambda dim: None) -> dict[str, Any]:
-        """Extract and report; returns what the result says. ``check`` may refuse embeddings of so many dimensions."""
+    def make(self, console: Console, dimensions: Mapping[str, int] | None = None) -> dict[str, Any]:
+        """Extract and report; returns what the result says. Embeddings must have the ``dimensions`` of these files."""
         from scoup.cli.views import is_splat
         from scoup.extract import (
             PhotographChoice,
@@ -148,7 +145,12 @@ class Extract:
         segmenter, embedder = open_pair(
             segmenter_name, self.models.embedder, settings, self.common.device, None if overwrite else out
         )
-        check(embedder.dim)
+        for name, size in (dimensions or {}).items():
+            if size != embedder.dim:
+                raise InputError(
+                    f"{name}: contains vectors of {size} dimensions, but the embedder makes embeddings of "
+                    f"{embedder.dim}; use the one made with the same model"
+                )
         views = None if choice is None else self._choose(console, choice)
         chosen = views or photographs
         is_dense_too = not embedder.name.startswith("open_clip:")
@@ -158,9 +160,7 @@ class Extract:
                 "one pass per photograph, with somewhat other answers (docs/extract.md)"
             )
         with _extracting(console, out, part) as progress:
-            report = extract(
-                chosen, out, segmenter, embedder, MAX_HEIGHT, overwrite, part, progress, views is not None
-            )
+            report = extract(chosen, out, segmenter, embedder, overwrite, part, progress, views is not None)
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
@@ -209,9 +209,7 @@ class Extract:
         wanted, count = self.photographs, len(choice.photographs)
         try:
             with console.progress() as progress:
-                chosen = choice.choose(
-                    gaussians=wanted.gaussians, images=wanted.images, max_height=MAX_HEIGHT, progress=progress
-                )
+                chosen = choice.choose(wanted.gaussians, wanted.images, progress)
         except InputError as error:
             if wanted.views is not None:
                 raise
@@ -244,7 +242,7 @@ class Extract:
         folder = out / DetectionStore.FOLDER
         with console.progress() as progress:
             report = extract_concepts(
-                photographs, folder, model, words, MAX_HEIGHT, self.common.overwrite, part, progress
+                photographs, folder, model, words, self.common.overwrite, part, progress
             )
         seconds = sum(report.seconds.values())
         console.say(

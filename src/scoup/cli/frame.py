@@ -52,7 +52,6 @@ class Frame:
     common: DeviceCommon = DeviceCommon()
 
     def run(self, console: Console) -> None:
-        """Measure, write and print."""
         from scoup.base import WorldFrame
         from scoup.field import read_facts, write_world
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,11 +25,12 @@ class Info:
     common: Common = Common()
 
     def run(self, console: Console) -> None:
-        """Find out the kind, check the contents, and print what they are."""
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
-        suffix = self.path.suffix.lower()
-        record = (_other if self.path.is_dir() else _KINDS.get(suffix, _other))(self.path)
+        kinds = {".scoup": _field, ".npz": _word_table, ".safetensors": _word_table}
+        suffix = "" if self.path.is_dir() else self.path.suffix.lower()
+        # Others are folders, splats, cameras or word tables in JSON.
+        record = kinds.get(suffix, _other)(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in lines_of(record):
@@ -85,13 +86,6 @@ def _field(path: Path) -> dict[str, Any]:
     facts = read_facts(path)
     provenance = facts.pop("provenance")  # long, so last
     return {"kind": "language field", **facts, "provenance": provenance}
-
-
-_KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
-    ".scoup": _field,
-    **dict.fromkeys((".npz", ".safetensors"), _word_table),
-}
-"""Extension -> description of such a file; others are folders, splats, cameras or word tables in JSON."""
 
 
 def lines_of(record: dict[str, Any], indent: str = "") -> Iterator[str]:

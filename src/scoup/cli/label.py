@@ -66,7 +66,6 @@ class Label:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Label and write."""
         from scoup.query import Expression, LabelFiles
 
         words = self._words()

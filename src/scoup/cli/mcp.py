@@ -42,7 +42,6 @@ class ServeAgents:
     common: DeviceCommon = DeviceCommon()
 
     def run(self, console: Console) -> int:
-        """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.io import read_words
         from scoup.view import SceneTools, serve
 

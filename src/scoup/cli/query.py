@@ -27,11 +27,9 @@ from scoup.cli.query_options import (
 if TYPE_CHECKING:
     from scoup.query import (
         AnswerFiles,
-        FieldView,
         LanguageField,
         Place,
         Question,
-        ViewAnswer,
     )
     from scoup.scene import Camera
 
@@ -83,7 +81,6 @@ class Query:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Answer every text in every view asked for, and in the world."""
         from scoup.base import write_text
         from scoup.pictures import check_video_writer
         from scoup.query import AnswerFiles
@@ -153,7 +150,8 @@ class Query:
         for camera in cameras:
             view = field.at(camera)
             answers = view.answer(question)
-            if _sees_nothing(view, answers):
+            # Relevancy is 0.5 wherever nothing is rendered: render only then to find out.
+            if all((answer.heat == 0.5).all() for answer in answers) and not view.is_visible():
                 blind.append(camera)
             rgb = view.renders.colors().cpu() if self.pictures != "none" else None
             files.add(camera, answers, rgb, hidden)
@@ -176,12 +174,6 @@ class Query:
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")
         console.result({"out": self._out(), **result})
-
-
-def _sees_nothing(view: FieldView, answers: list[ViewAnswer]) -> bool:
-    """Return True if nothing of the field is visible."""
-    # Relevancy is 0.5 wherever nothing is rendered: render only then to find out.
-    return all((answer.heat == 0.5).all() for answer in answers) and not view.is_visible()
 
 
 def _sentence(record: dict[str, Any]) -> str:

@@ -63,7 +63,6 @@ class TextOptions(FieldOptions):
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
     def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
-        """Return the field, with the text encoder of the options."""
         field = super().open(path, device, splat_option)
         return field if self.text is None else field.with_encoder(self.text)
 

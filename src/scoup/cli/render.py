@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from scoup.base import InputError, counted, staged, unique_slugs
+from scoup.base import InputError, counted, reported, staged, unique_slugs
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, arg
 from scoup.cli.query_options import CameraOptions, TextOptions, output_folder
@@ -47,7 +47,6 @@ class Render:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Render each camera asked for."""
         from scoup.io import save_png
         from scoup.pictures import save_frames
         from scoup.query import drawing
@@ -68,8 +67,7 @@ class Render:
         frames: list[Picture] = []
         blind: list[Camera] = []
         with staged(folder, files, self.common.overwrite) as hidden, console.progress() as progress:
-            progress("render", 0, len(cameras))
-            for done, camera in enumerate(cameras):
+            for done, camera in enumerate(reported(cameras, "render", len(cameras), progress)):
                 view = field.at(camera)
                 if not view.is_visible():
                     blind.append(camera)
@@ -78,7 +76,6 @@ class Render:
                     frames.append(picture)
                 else:
                     save_png(picture, hidden / files[done])
-                progress("render", done + 1, len(cameras))
             self.view.check_seen(self.field, blind, len(cameras))
             if animation:
                 save_frames(frames, hidden / out.name, FRAMES_PER_SECOND)

@@ -72,7 +72,6 @@ class Select:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Choose, change and write."""
         from scoup.query import Reshaping, parse_expression
 
         check_texts(self.texts)

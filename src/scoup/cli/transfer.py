@@ -33,7 +33,6 @@ class Transfer:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Transfer, save and report."""
         from scoup.io import load_gaussians
         from scoup.uplift import transfer
 

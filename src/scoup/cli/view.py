@@ -70,7 +70,6 @@ class View:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> int:
-        """Serve or export."""
         self._check_options()
         if self.exported.export is None:
             return self._serve(console)

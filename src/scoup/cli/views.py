@@ -46,28 +46,27 @@ class MakeViews:
     common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
-        """Choose, render, report."""
-        from scoup.extract import ViewsFolder
+        from scoup.extract import SHEET
 
         record = self.make(console)
         out = record["scene"]
         console.say(
-            f"look at {ViewsFolder(out).sheet}; then: {command('extract', out)}, "
+            f"look at {out / SHEET}; then: {command('extract', out)}, "
             f"{command('build', out, '--gaussians', self.splat)}"
         )
         console.result(record)
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
-        from scoup.extract import ViewsFolder
+        from scoup.extract import write_own_views
         from scoup.io import splat_source
 
-        out = self.out or Path(f"{splat_source(self.splat).path.stem}_views")
-        folder, view, overwrite = ViewsFolder(out), self.view, self.common.overwrite
-        folder.check(overwrite)
+        out, view = self.out or Path(f"{splat_source(self.splat).path.stem}_views"), self.view
         sizes = {"width": view.width, "height": view.height, "count": view.views}
         with console.progress() as progress:
-            cameras, shown = folder.make(self.splat, view.up, view.keep_axes, overwrite, progress, **sizes)
+            cameras, shown = write_own_views(
+                self.splat, out, view.up, view.keep_axes, self.common.overwrite, progress, **sizes
+            )
         console.say(
             f"{out}: {counted(len(cameras), 'view')}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
@@ -85,9 +84,9 @@ def is_splat(path: Path) -> bool:
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
     """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` incomplete
     ones are replaced."""
-    from scoup.extract import ViewsFolder
+    from scoup.extract import TRANSFORMS
 
-    if ViewsFolder(folder).is_made:
+    if (folder / TRANSFORMS).exists():
         again = command("views", splat, "--out", folder, "--overwrite")
         console.say(f"{folder}: uses the existing views; to replace them: {again}")
     else:

@@ -28,7 +28,6 @@ class MakeWords:
     common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Encode and write."""
         from scoup.io import read_words
         from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, TextEncoder, WordTable
 

@@ -25,20 +25,14 @@ def code(
     gram: Tensor,  # [L, L]
     k: int,
     swap_passes: int = 0,
-    warm: Tensor | None = None,  # [n, K]
+    warm: Tensor | None = None,  # [n, K] supports to start from, -1 for none; atoms may repeat
 ) -> RowCodes:
     """Return at most k atoms and weights >= 0 per row that bring the decoded code close to it in angle.
 
     Under the cosine loss only the direction of w C matters, so the best weights on a support solve non-negative
     least squares, which needs only s = C f and G = C C^T. The support is found greedily by orthogonal least squares
-    (Chen, Billings and Luo 1989), then each atom in turn is exchanged for another wherever that helps.
-
-    Args:
-        similarities: inner products of rows and atoms, any float dtype.
-        gram: inner products of the atoms.
-        k: most atoms of a code.
-        swap_passes: rounds of exchanges at most.
-        warm: supports to start from in place of the greedy choice, -1 for none; atoms may repeat.
+    (Chen, Billings and Luo 1989), then each atom in turn is exchanged for another wherever that helps, in at most
+    ``swap_passes`` rounds.
     """
     problem = _Problem(similarities.double(), gram.double())
     solution = problem.solve(problem.choose(k) if warm is None else warm.long())

@@ -6,21 +6,21 @@ The loop takes any segmenter and embedder, and chooses the photographs that matt
 from scoup.extract.concepts import extract_concepts
 from scoup.extract.mask_report import report_masks
 from scoup.extract.masks import Masks
-from scoup.extract.own_views import ViewsFolder, choose_cameras, save_views
-from scoup.extract.photograph_choice import PhotographChoice, choose_photographs
+from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views, write_own_views
+from scoup.extract.photograph_choice import PhotographChoice
 from scoup.extract.photographs import Photograph, find_photographs
 from scoup.extract.pipeline import ExtractReport, crops_minutes, embed_image, extract, lacks_views
 from scoup.extract.registry import model_tables, open_embedder, open_pair, open_segmenter
 from scoup.extract.settings import mask_settings
 
 __all__ = [
+    "SHEET",
+    "TRANSFORMS",
     "ExtractReport",
     "Masks",
     "Photograph",
     "PhotographChoice",
-    "ViewsFolder",
     "choose_cameras",
-    "choose_photographs",
     "crops_minutes",
     "embed_image",
     "extract",
@@ -34,4 +34,5 @@ __all__ = [
     "open_segmenter",
     "report_masks",
     "save_views",
+    "write_own_views",
 ]

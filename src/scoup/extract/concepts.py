@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from scoup.base import Part, Progress, ScoupError, no_progress
-from scoup.extract.photographs import Photograph, Pixels, read_ahead
-from scoup.extract.pipeline import MAX_HEIGHT, ExtractReport
+from scoup.extract.photographs import MAX_HEIGHT, Photograph, Pixels, read_ahead
+from scoup.extract.pipeline import ExtractReport
 from scoup.io import DetectionStore
 from scoup.models import ConceptModel
 
@@ -22,7 +22,6 @@ def extract_concepts(
     folder: str | Path,
     model: ConceptModel,
     texts: Sequence[str],
-    max_height: int | None = MAX_HEIGHT,
     overwrite: bool = False,
     part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
@@ -33,7 +32,7 @@ def extract_concepts(
     Raises:
         InputError: the folder contains detections of other texts or of another model.
     """
-    settings = {**model.to_dict(), "max_height": max_height}
+    settings = {**model.to_dict(), "max_height": MAX_HEIGHT}
     store = DetectionStore.new(Path(folder), texts, settings)
     store.begin(overwrite)
     # Words count anywhere.
@@ -41,7 +40,7 @@ def extract_concepts(
     report, moment = ExtractReport(), time.perf_counter()
     waiting = [item for item in assigned if overwrite or not store.has(item.name, item.digest())]
     report.kept = len(assigned) - len(waiting)
-    for done, (item, pixels) in enumerate(read_ahead(waiting, max_height), start=report.kept):
+    for done, (item, pixels) in enumerate(read_ahead(waiting), start=report.kept):
         progress("concepts", done, len(assigned))
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)

@@ -36,12 +36,12 @@ class DenseEmbedder:
         pixels = image.permute(2, 0, 1)[None].float() / 255
         scaled = functional.interpolate(pixels, size, mode="bilinear", antialias=True, align_corners=False)[0]
         tokens = self.model.tokens(scaled)
-        return {level: self._pool(tokens, of_level) for level, of_level in masks.items()}
-
-    def _pool(self, tokens: Tensor, masks: Masks) -> Tensor:
-        shares = area_shares(masks, tokens.shape[0], tokens.shape[1]).to(tokens.device)
-        rows = [self.model.pool(tokens, chunk).cpu() for chunk in shares.split(_MASKS_AT_ONCE)]
-        return torch.cat(rows) if len(masks) else torch.zeros(0, self.dim)
+        pooled = {}
+        for level, of_level in masks.items():
+            shares = area_shares(of_level, tokens.shape[0], tokens.shape[1]).to(tokens.device)
+            rows = [self.model.pool(tokens, chunk).cpu() for chunk in shares.split(_MASKS_AT_ONCE)]
+            pooled[level] = torch.cat(rows) if len(of_level) else torch.zeros(0, self.dim)
+        return pooled
 
 
 def area_shares(masks: Masks, rows: int, columns: int) -> Tensor:

@@ -28,7 +28,7 @@ def report_masks(
     """Return how much of the pixels masks and transparency hide, "" for nothing.
 
     InputError where masks found by their names hide most pixels, or most of the scene: its splat or COLMAP's points
-    (arguments as for ``choose_photographs``), else the middle of the photographs. They may be the other way round.
+    (arguments as of ``PhotographChoice.choose``), else the middle of the photographs. They may be the other way round.
     """
     masked = [item for item in photographs if item.mask]
     may_be_transparent = [item for item in photographs if item.path.suffix.lower() not in LOSSY]

@@ -101,7 +101,7 @@ class Masks:
 
     def areas(self) -> NDArray[np.int64]:
         """Return [N] pixels of each mask."""
-        return np.array([int(_BITS_IN[bits].sum()) for bits in self.bits], np.int64)
+        return np.array([np.count_nonzero(np.unpackbits(bits)) for bits in self.bits], np.int64)
 
     def corners(self) -> NDArray[np.int32]:
         """Return [N, 4] x0, y0, x1, y1 with the last column and row themselves, as SAM's code writes boxes."""
@@ -147,9 +147,6 @@ def paint(masks: Masks) -> NDArray[np.int32]:
     for number in range(len(masks)):
         labels[masks.place(number)][masks.crop(number)] = number
     return labels
-
-
-_BITS_IN = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(1).astype(np.int64)
 
 
 def _crop_to_box(mask: NDArray[np.bool_]) -> tuple[tuple[int, int, int, int], NDArray[np.bool_]]:

@@ -162,43 +162,24 @@ def save_views(
     return Coverage(once, often)
 
 
-@dataclass(frozen=True)
-class ViewsFolder:
-    """A scene folder with views of a splat that comes without photographs."""
-
-    folder: Path
-
-    @property
-    def sheet(self) -> Path:
-        """The picture of all views."""
-        return self.folder / SHEET
-
-    @property
-    def is_made(self) -> bool:
-        return (self.folder / TRANSFORMS).exists()
-
-    def check(self, overwrite: bool) -> None:
-        """Refuse a folder with views, unless they are overwritten, or with other cameras."""
-        out = self.folder
-        check_output(out / TRANSFORMS, self.sheet, overwrite=overwrite)
-        scene = ScenePaths(out)
-        if scene.has_cameras and scene.cameras().path != out / TRANSFORMS:
-            raise InputError(f"{out}: is a scene with other cameras; choose another folder with `out`")
-
-    def make(
-        self, splat: Path, up: Sequence[float] | None, keep_axes: bool, overwrite: bool, progress: Progress,
-        **sizes: Any,
-    ) -> tuple[Cameras, Coverage]:  # fmt: skip
-        """Choose cameras for a splat and render their views; with ``keep_axes`` up is in the axes of the file, and
-        ``sizes`` are options of ``choose_cameras``."""
-        source = splat_source(splat)
-        gaussians = load_gaussians(source.path)
-        if keep_axes and source.kind.axis is not None:
-            turned = source.kind.turned(gaussians)
-            own = up or turned.world.up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
-            up = source.kind.turned_direction(own)
-        cameras = choose_cameras(gaussians, up=up, progress=progress, **sizes)
-        return cameras, save_views(gaussians, cameras, self.folder, overwrite, progress)
+def write_own_views(
+    splat: Path, out: Path, up: Sequence[float] | None, keep_axes: bool, overwrite: bool, progress: Progress,
+    **sizes: Any,
+) -> tuple[Cameras, Coverage]:  # fmt: skip
+    """Choose cameras for a splat and render their views into a scene folder; with ``keep_axes`` up is in the axes of
+    the file, and ``sizes`` are options of ``choose_cameras``. A folder with other cameras is refused."""
+    check_output(out / TRANSFORMS, out / SHEET, overwrite=overwrite)
+    scene = ScenePaths(out)
+    if scene.has_cameras and scene.cameras().path != out / TRANSFORMS:
+        raise InputError(f"{out}: is a scene with other cameras; choose another folder with `out`")
+    source = splat_source(splat)
+    gaussians = load_gaussians(source.path)
+    if keep_axes and source.kind.axis is not None:
+        turned = source.kind.turned(gaussians)
+        own = up or turned.world.up or estimate_up_of_splat(turned, find_matter(turned)).tolist()
+        up = source.kind.turned_direction(own)
+    cameras = choose_cameras(gaussians, up=up, progress=progress, **sizes)
+    return cameras, save_views(gaussians, cameras, out, overwrite, progress)
 
 
 def _images_of_views(folder: Path) -> list[str]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -50,7 +49,7 @@ class PhotographChoice:
     scene: Path
     photographs: Sequence[Photograph]
     total: int | None
-    """With those there; None: as many as add something."""
+    """With those there; None: as many as add something, and at least ``FEW``."""
     there: tuple[str, ...]
 
     @classmethod
@@ -78,56 +77,26 @@ class PhotographChoice:
                 total = len(there)  # the same command was interrupted
         return cls(scene, photographs, total, there)
 
-    def choose(self, **options: Any) -> list[Photograph]:
-        """Return the photographs; options and errors as of ``choose_photographs``."""
-        return choose_photographs(self.scene, self.photographs, self.total, there=self.there, **options)
+    def choose(self, gaussians: Path | None, images: Path | None, progress: Progress) -> list[Photograph]:
+        """Return the photographs that show the most, those there first, by cheap renders of the scene's splat, which
+        ``gaussians`` may name, or of COLMAP's points; ``images`` as for ``find_photographs``.
 
-
-def choose_photographs(
-    scene: str | Path,
-    photographs: Sequence[Photograph],
-    count: int | None = None,
-    *,
-    there: Iterable[str] = (),
-    gaussians: str | Path | None = None,
-    images: str | Path | None = None,
-    max_height: int | None = 1080,
-    progress: Progress = no_progress,
-) -> list[Photograph]:
-    """Choose the photographs of a scene that show the most, by cheap renders of its splat, or of COLMAP's points.
-
-    Args:
-        photographs: of the scene (``find_photographs``).
-        count: how many to choose, with those there. By default as many as add something, and at least ``FEW``.
-        there: names of photographs that were chosen before.
-        gaussians: the splat; by default the one in the scene, or else COLMAP's points.
-        images: as for ``find_photographs``.
-        max_height: as for ``extract``.
-
-    Returns:
-        Those there first, then by what each adds.
-
-    Raises:
-        InputError: the scene has no cameras, or neither splat nor points, or they do not fit, or no photograph can be
-            read.
-
-    Example:
-        >>> from scoup.extract import choose_photographs, find_photographs
-        >>> len(choose_photographs("scene", find_photographs("scene"), 2))
-        2
-    """
-    cameras, surface = posed_scene(scene, photographs, gaussians, images)
-    posed = [item for item in photographs if item.path in cameras]
-    read = reported(read_ahead(posed, max_height), "photographs", len(posed), progress)
-    sharp = {item: sharpness(pixels.image) for item, pixels in read if not isinstance(pixels, ScoupError)}
-    if not sharp:
-        raise InputError(f"{scene}: none of its photographs can be read")
-    readable = list(sharp)
-    numbers = {item.name: number for number, item in enumerate(readable)}
-    rows = [numbers[name] for name in there if name in numbers]
-    views = [cameras[item.path] for item in readable]
-    order = rank_views(views, surface, torch.tensor(list(sharp.values())), count, rows, progress)
-    return [readable[row] for row in order]
+        Raises:
+            InputError: the scene has no cameras, or neither splat nor points, or they do not fit, or no photograph can
+                be read.
+        """
+        cameras, surface = posed_scene(self.scene, self.photographs, gaussians, images)
+        posed = [item for item in self.photographs if item.path in cameras]
+        read = reported(read_ahead(posed), "photographs", len(posed), progress)
+        sharp = {item: sharpness(pixels.image) for item, pixels in read if not isinstance(pixels, ScoupError)}
+        if not sharp:
+            raise InputError(f"{self.scene}: none of its photographs can be read")
+        readable = list(sharp)
+        numbers = {item.name: number for number, item in enumerate(readable)}
+        rows = [numbers[name] for name in self.there if name in numbers]
+        views = [cameras[item.path] for item in readable]
+        order = rank_views(views, surface, torch.tensor(list(sharp.values())), self.total, rows, progress)
+        return [readable[row] for row in order]
 
 
 def rank_views(
@@ -139,7 +108,7 @@ def rank_views(
     progress: Progress = no_progress,
 ) -> list[int]:
     """Return the numbers of the cameras to take: those there, then by marginal gain (``choose_views``); ``sharp`` [V]
-    is the sharpness of their photographs, ``count`` as for ``choose_photographs``."""
+    is the sharpness of their photographs, ``count`` as ``PhotographChoice.total``."""
     matter = measure_matter(gaussians, find_matter(gaussians), torch.tensor([0.0, 0.0, 1.0]).double())
     scorer = ViewScorer.of(
         prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(constants.SECTORS)).float()
@@ -186,7 +155,7 @@ def posed_scene(
     scene: str | Path, photographs: Sequence[Photograph], splat: str | Path | None, images: str | Path | None
 ) -> tuple[dict[Path, Camera], Gaussians]:
     """Return the cameras of photographs by their files, of those that have one, and what they show; arguments and
-    errors as of ``choose_photographs``."""
+    errors as of ``PhotographChoice.choose``."""
     loaded = load_cameras(scene, images, distorted="undistort", missing_images="keep")
     every = {camera.image_path: camera for camera in loaded}
     cameras = {item.path: every[item.path] for item in photographs if item.path in every}

@@ -19,6 +19,7 @@ from scoup.io import DYNAMIC_MASK, ScenePaths, open_image, rgb_image
 Keeps = Literal["white", "black", "all"]
 _FOLDERS = ("masks", "mask")
 LOSSY = (".jpg", ".jpeg")
+MAX_HEIGHT = 1080  # pixels, as LangSplat: higher photographs are reduced
 AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # mirrored left to right after the turns
@@ -110,7 +111,7 @@ def _mask_of(name: str, image: Path) -> Path | None:
 
 
 def read_photograph(
-    path: Path, max_height: int | None = 1080, mask: Path | None = None, masks_keep: Keeps = "white"
+    path: Path, max_height: int = MAX_HEIGHT, mask: Path | None = None, masks_keep: Keeps = "white"
 ) -> Pixels:
     """Decode a photograph and its mask: upright by the photograph's EXIF orientation, RGB, 8 bits.
 
@@ -124,7 +125,7 @@ def read_photograph(
         width, height = stored.size
         orientation = int(stored.getexif().get(0x0112, 1))
         rgb = rgb_image(stored)
-        if max_height is not None and height > max_height:
+        if height > max_height:
             size = (max(1, int(width / (height / max_height))), max_height)
             rgb = rgb.resize(size, Image.Resampling.BILINEAR)
         array = np.asarray(rgb)
@@ -176,7 +177,7 @@ def _opaque(image: Any, size: tuple[int, int]) -> NDArray[np.bool_] | None:
 
 
 def read_ahead(
-    photographs: Iterable[Photograph], max_height: int | None
+    photographs: Iterable[Photograph],
 ) -> Generator[tuple[Photograph, Pixels | ScoupError], None, None]:
     """Yield photographs with their pixels, or the error of one that cannot be decoded, in order.
 
@@ -187,7 +188,7 @@ def read_ahead(
         warnings.filterwarnings("ignore", module=r"PIL\.")
 
         def read(item: Photograph) -> Pixels:
-            return read_photograph(item.path, max_height, item.mask, item.masks_keep)
+            return read_photograph(item.path, MAX_HEIGHT, item.mask, item.masks_keep)
 
         for item, future in worked_ahead(read, photographs, AHEAD):
             try:

@@ -18,10 +18,9 @@ from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections
-from scoup.extract.photographs import Photograph, Pixels, find_photographs, read_ahead
+from scoup.extract.photographs import MAX_HEIGHT, Photograph, Pixels, find_photographs, read_ahead
 from scoup.io import RegionManifest, RegionStore, ViewRegions
 
-MAX_HEIGHT = 1080  # LangSplat's
 BITS = 16  # of a stored embedding number
 SAME_REGION = 0.95  # 5 to 12 % of the regions of desk, table-20 and fox; nine of ten with a cosine above .997
 USUAL_REGIONS = 100  # of a photograph
@@ -52,12 +51,11 @@ class ExtractReport:
         return now
 
 
-def extract(  # noqa: PLR0913  the public face: each keyword is one choice of the user
+def extract(
     photographs: Sequence[Photograph],
     folder: str | Path,
     segmenter: Segmenter,
     embedder: Embedder,
-    max_height: int | None = MAX_HEIGHT,
     overwrite: bool = False,
     part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
@@ -67,7 +65,6 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
 
     Args:
         folder: of the results; ``load_regions`` reads it.
-        max_height: higher photographs are reduced to it; None for no limit.
         overwrite: make existing views again.
         part: of the photographs to extract; several processes may write the parts of one folder.
         chosen: the photographs were chosen among more: keep their names in the manifest.
@@ -76,7 +73,7 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
         ScoupWarning: photographs were skipped because they could not be read; says how many.
     """
     folder = Path(folder)
-    settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": max_height}
+    settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": MAX_HEIGHT}
     manifest = RegionManifest.of(embedder.name, settings, BITS)
     manifest = replace(manifest, views=tuple(item.name for item in photographs) if chosen else ())
     store = RegionStore.create(folder, manifest, overwrite)
@@ -88,7 +85,7 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
     report.kept = done = len(assigned) - len(waiting)
     progress("regions", done, len(assigned))
     moment = time.perf_counter()
-    for item, pixels in read_ahead(waiting, max_height):
+    for item, pixels in read_ahead(waiting):
         moment = report.add_time("decode", moment)
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)

@@ -30,10 +30,7 @@ EMBEDDERS = embedder_table(DenseEmbedder)
 def model_tables() -> dict[str, list[dict[str, str]]]:
     """Return the rows of the tables of segmenters, embedders and models with words, for people."""
     tables = {"segmenters": SEGMENTERS, "embedders": EMBEDDERS, "concepts": CONCEPTS}
-    return {
-        title: [{**one.cells(), "weights": one.weights(), "what it is": one.help} for one in table.values()]
-        for title, table in tables.items()
-    }
+    return {title: [entry.cells() for entry in table.values()] for title, table in tables.items()}
 
 
 def open_segmenter(

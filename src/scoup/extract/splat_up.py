@@ -25,10 +25,7 @@ def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:
 
     Trainers leave -y up (axes right, down, forward), or +z. Surfaces decide between them, and how far up is tilted:
     flat Gaussians have their shortest axis across the surface. A floor lies at the bottom of a scene; a wall that
-    faces the cameras, which also lies across z, at its far end.
-
-    Args:
-        rows: [M] int64, the Gaussians that count.
+    faces the cameras, which also lies across z, at its far end. The Gaussians ``rows`` [M] count.
 
     Warns:
         ScoupWarning: there are no such surfaces, so that -y is a guess.

@@ -167,18 +167,16 @@ class ViewScorer:
 
 
 def choose_views(
-    worth: Tensor, direction: Tensor, most: int, least_gain: float = 0.0, there: Iterable[int] = ()
+    worth: Tensor,  # [V, M] float32, how well each view shows each Gaussian, 0..1
+    direction: Tensor,  # [V, M] uint8, as ``Scores.direction``
+    most: int,
+    least_gain: float = 0.0,
+    there: Iterable[int] = (),
 ) -> list[int]:
-    """Return at most ``most`` views that show the most, one after the other, by marginal gain.
+    """Return at most ``most`` views that show the most beside those ``there``, one after the other, by marginal gain.
 
     A Gaussian that is shown from directions b with qualities q_b is worth sqrt(min(sum of q_b, 10)): a submodular
     function of the views, for which the greedy choice is within 1 - 1/e of the best (Nemhauser et al. 1978).
-
-    Args:
-        worth: [V, M] float32, how well each view shows each Gaussian, 0..1.
-        direction: [V, M] uint8, as ``Scores.direction``.
-        least_gain: what each must gain.
-        there: views that exist already; others are chosen beside them.
     """
     n_sectors = int(direction.max()) + 1
     state = torch.zeros(worth.shape[1], n_sectors)

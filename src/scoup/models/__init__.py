@@ -4,7 +4,6 @@ Only this room knows transformers and open_clip, which are loaded when a model i
 and says which text space its embeddings are in.
 """
 
-from scoup.base import lazy_names
 from scoup.models.concepts import CONCEPTS, ConceptModel, open_concepts
 from scoup.models.dense import open_dense_model
 from scoup.models.embedders import embedder_table
@@ -13,13 +12,13 @@ from scoup.models.hub import ModelIdentity
 from scoup.models.sam import EncodedImage, PointModel, open_sam, segmenter_table
 from scoup.models.text import ARTICLES, LONGEST, Encoder, TextEncoder, check_model, words_problem
 from scoup.models.word_table import WordTable
-from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
 
 __all__ = [
     "ARTICLES",
     "CANONICAL_PHRASES",
     "CONCEPTS",
-    "EVERYDAY_WORDS",  # pyright: ignore[reportUnsupportedDunderAll]
+    "EVERYDAY_WORDS",
     "LEAST_WORDS",
     "LONGEST",
     "ConceptModel",
@@ -39,6 +38,3 @@ __all__ = [
     "with_everyday",
     "words_problem",
 ]
-
-# The list is read when it is needed.
-__getattr__ = lazy_names(__name__, {"EVERYDAY_WORDS": "scoup.models.words"})

@@ -186,11 +186,11 @@ def best_boxes(boxes: Tensor, scores: Tensor, size: tuple[int, int]) -> Detectio
 
 
 _CLASSES = {
-    "owlv2": ("Owlv2ForObjectDetection", OwlConcepts, CLIP, "4.35"),
-    "grounding-dino": ("GroundingDinoForObjectDetection", DinoConcepts, IMAGENET, "4.40"),
-    "sam3": ("Sam3Model", Sam3Concepts, HALF, "5.0"),
+    "owlv2": ("Owlv2ForObjectDetection", OwlConcepts, CLIP),
+    "grounding-dino": ("GroundingDinoForObjectDetection", DinoConcepts, IMAGENET),
+    "sam3": ("Sam3Model", Sam3Concepts, HALF),
 }
-"""Type in a model's config -> class of transformers, class here, normalisation, and the first version with it."""
+"""Type in a model's config -> class of transformers, class here, normalisation."""
 
 
 def open_transformer(
@@ -203,15 +203,9 @@ def open_transformer(
         kind = files.config.model_type.removesuffix("_video")
         if kind not in _CLASSES:
             raise ScoupError(f"{kind!r} is not a model with words; use one of {', '.join(_CLASSES)}")
-        class_name, wrapper, normalization, version = _CLASSES[kind]
-        model_class = getattr(files.transformers, class_name, None)
-        if model_class is None:
-            raise ScoupError(
-                f"transformers {files.transformers.__version__} has no {class_name}; "
-                f"run 'pip install \"transformers>={version}\"'"
-            )
+        class_name, wrapper, normalization = _CLASSES[kind]
         return wrapper(
-            model=files.model(model_class).to(device),
+            model=files.model(getattr(files.transformers, class_name)).to(device),
             tokenizer=files.tokenizer(),
             name=model_id,
             revision=files.commit,

@@ -48,20 +48,18 @@ class ModelEntry(Entry):
         return recorded in (name, name.removeprefix(DENSE_PREFIX), self.model_id(name))
 
     def cells(self) -> dict[str, str]:
-        """Return column -> text, of all but ``help`` and ``weights``."""
+        """Return column -> text."""
+        # "-": the user names the weights, or there are none.
+        weights = "-" if self.file is None else "here" if is_cached(*self.file) else "not here"
         return {
             "name": self.name,
             "size": self.size or "-",
             "licence": self.licence or "-",
             "CPU seconds": "-" if self.seconds is None else f"{self.seconds:.1f}",
             "needs": f"scoup[{self.extra}]" if self.extra else "-",
+            "weights": weights,
+            "what it is": self.help,
         }
-
-    def weights(self) -> str:
-        """Return "here" or "not here" for weights of a hub, "-" where there are none or the user names them."""
-        if self.file is None:
-            return "-"
-        return "here" if is_cached(*self.file) else "not here"
 
 
 @dataclass(frozen=True)

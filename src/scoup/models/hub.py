@@ -31,7 +31,10 @@ _READ = re.compile(r"[^.]*\.(safetensors|json|txt)")  # of a folder; "model.fp16
 _OF_HUB = re.compile(r"hf-hub:[\w.-]+/[\w.-]+(@[\w.-]+)?")
 # As its authors write ViT-B-16: ViT-B/16.
 _SPELT = re.compile(r"^([\w-]*ViT-\w+)/(\d+)(?:@(\d+)px)?(?=[-/]|$)")
-_SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
+_SINCE = dict.fromkeys(("sam3", "sam3_tracker", "sam3_tracker_video", "sam3_video"), "5.0") | {
+    "tipsv2": "5.14"
+}
+"""Types of models that the oldest transformers of pyproject.toml does not know -> the first that does."""
 # Package -> its name in an index.
 _DISTRIBUTIONS = {"transformers": "transformers", "open_clip": "open_clip_torch"}
 # Seconds within which a hub that can be reached answers; its own client would try for a minute.

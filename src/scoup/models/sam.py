@@ -183,7 +183,10 @@ def open_sam(
 
     def load(files: Pretrained) -> Sam:
         kind = files.config.model_type
-        model = files.model(_class_of(files.transformers, kind))
+        generation = kind.split("_", 1)[0]  # a video model's file contains the image model, too
+        if generation not in _CLASSES:
+            raise ScoupError(f"{kind!r} is not a SAM model; use SAM, SAM 2 or SAM 3")
+        model = files.model(getattr(files.transformers, _CLASSES[generation]))
         # The config of a video model holds that of the image model; the loaded model has its own.
         side = model.config.prompt_encoder_config.image_size
         side = int(side if isinstance(side, int) else side[0])
@@ -223,19 +226,6 @@ def reduce_precision(model: Any, device: torch.device | str, half: bool) -> None
     if half and multiplies_bfloat16(device):
         model.vision_encoder.bfloat16()
         model.mask_decoder.bfloat16().iou_prediction_head.float()
-
-
-def _class_of(transformers: Any, model_type: str) -> Any:
-    """Return the class for a config, also of a video model, whose file contains the image model too."""
-    generation = model_type.split("_", 1)[0]
-    if generation not in _CLASSES:
-        raise ScoupError(f"{model_type!r} is not a SAM model; use SAM, SAM 2 or SAM 3")
-    kind = getattr(transformers, _CLASSES[generation], None)
-    if kind is None:
-        raise ScoupError(
-            f"transformers {transformers.__version__} has no {generation}; run 'pip install -U transformers'"
-        )
-    return kind
 
 
 def _resize(logits: Tensor, size: tuple[int, int]) -> Tensor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,14 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from scoup.base import InputError, ScoupError, UnknownNameError, card, check_arguments, counted, listed
-from scoup.models import words
 from scoup.models.embedders import TEXT_MODELS, open_text_model
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity
 from scoup.models.plain_colors import COLORS
 from scoup.models.word_cache import CachedTexts, EncodeUnit
 from scoup.models.word_table import WordTable, refuse_other_file
-from scoup.models.words import CANONICAL_PHRASES, with_everyday
+from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
 
 _NO_WORDS = (
     "these regions were embedded by their colours, without a model, and cannot be queried in words; "
@@ -222,9 +220,9 @@ class TextEncoder:
         For a table all its names except the canonical phrases. For a model a fixed list of words, which are encoded
         once, and read from the user's cache afterwards.
         """
-        if self._everyday is None and self._model is not None:
-            self._everyday = self._model.everyday
-        elif self._everyday is None:
+        if self._model is not None:
+            return self._model.everyday
+        if self._everyday is None:
             self._everyday = self.encode(self._usual_names())
         return self._everyday
 
@@ -237,7 +235,7 @@ class TextEncoder:
 
     def _usual_names(self) -> list[str]:
         """Return the names of a table, or everyday words, without the canonical phrases."""
-        names = words.EVERYDAY_WORDS if self.names is None else self.names
+        names = EVERYDAY_WORDS if self.names is None else self.names
         return [name for name in names if name.strip().casefold() not in CANONICAL_PHRASES]
 
     def word_of(self, phrase: str) -> str:
@@ -252,9 +250,7 @@ class TextEncoder:
     def __enter__(self) -> TextEncoder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -23,11 +23,11 @@ import torch
 from torch import Tensor
 
 from scoup.base import FileFormatError, ScoupError, slug, write_npz
-from scoup.models import words
 from scoup.models.entry import Device
 from scoup.models.failures import reason_of
 from scoup.models.hub import ModelIdentity
 from scoup.models.word_table import MODEL_KEY, WordTable
+from scoup.models.words import EVERYDAY_WORDS
 
 PROBE = "object"
 """A phrase whose vector shows whether a file came from this model."""
@@ -44,10 +44,7 @@ class CachedTexts:
     """A text model that is opened at the first phrase that the user's cache lacks.
 
     A vector depends on the other phrases only in that many at once are encoded together: not on what is cached.
-
-    Args:
-        name, revision, device: of the model, as ``TextEncoder.open`` takes them.
-        load: opens it; returns its encoder, whose vectors have unit norm, and its identity.
+    ``load`` opens the model; its encoder returns vectors of unit norm.
     """
 
     def __init__(
@@ -69,7 +66,7 @@ class CachedTexts:
 
     def encode(self, phrases: Sequence[str]) -> Tensor:
         """Return [Q, D] float32 unit vectors of one phrase or more."""
-        rows = {word: row for row, word in enumerate(words.EVERYDAY_WORDS)}
+        rows = {word: row for row, word in enumerate(EVERYDAY_WORDS)}
         others = list(dict.fromkeys(phrase for phrase in phrases if phrase not in rows))
         vectors = map(self._one, others) if len(others) <= MOST_ALONE else self._new(others)
         new = dict(zip(others, vectors, strict=True))
@@ -80,7 +77,7 @@ class CachedTexts:
     @cached_property
     def everyday(self) -> Tensor:
         """Unit vectors of the everyday words, [B, D] float32."""
-        return cached_vectors(self.model, self.probe, words.EVERYDAY_WORDS, self._new)
+        return cached_vectors(self.model, self.probe, EVERYDAY_WORDS, self._new)
 
     def _one(self, phrase: str) -> Tensor:
         if len(phrase.encode("utf-8", "surrogatepass")) > _MOST_BYTES:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from torch import Tensor
 
 from scoup.base import FileFormatError, InputError, existing_file, foreign_kind, write_npz
 
-TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
 MODEL_KEY = "model"  # array, JSON entry or metadata entry that may name the embedding model; never a word
 
 _OTHER_SUFFIXES = frozenset(
@@ -66,13 +64,17 @@ class WordTable:
         """
         remedy = "check the path, or name a CLIP model instead"
         path = existing_file(path, "a table of text embeddings", remedy)
-        read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
-            path.suffix.lower()
-        )
+        read = _READERS.get(path.suffix.lower())
         if read is None:
             raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
-        with _reporting_damage(path):
+        try:
             return read(path)
+        except FileFormatError:
+            raise
+        except OSError as error:
+            raise FileFormatError.unreadable(path, error) from error
+        except Exception as error:  # zip, zlib, json, numpy and safetensors raise kinds of their own
+            raise FileFormatError(path, "is not a readable table of text embeddings", _REMEDY) from error
 
     @classmethod
     def save(
@@ -95,7 +97,7 @@ class WordTable:
     @staticmethod
     def is_meant(model_or_table: str | Path) -> bool:
         """Return whether the text means a table file and not a model, by its extension."""
-        return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
+        return Path(model_or_table).suffix.lower() in _READERS
 
     @staticmethod
     def check_name(path: str | Path) -> None:
@@ -177,6 +179,9 @@ def _read_safetensors(path: Path) -> WordTable:
     return WordTable(path, list(tensors), _stacked(path, tensors), model)
 
 
+_READERS = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}
+
+
 def _stacked(path: Path, rows: dict[str, np.ndarray]) -> np.ndarray:
     if not rows:
         raise FileFormatError(path, "contains no names", _REMEDY)
@@ -201,16 +206,3 @@ def _unit_vectors(path: Path, names: tuple[str, ...], vectors: np.ndarray) -> np
         name = names[int(bad.argmax())][:40]
         raise FileFormatError(path, f"the vector of {name!r} is zero or not finite", "encode that name again")
     return (wide / norms[:, None]).astype(np.float32)
-
-
-@contextmanager
-def _reporting_damage(path: Path) -> Iterator[None]:
-    """Turn whatever a parser raises for a damaged file into one error that names the file."""
-    try:
-        yield
-    except FileFormatError:
-        raise
-    except OSError as error:
-        raise FileFormatError.unreadable(path, error) from error
-    except Exception as error:  # zip, zlib, json, struct, numpy and safetensors each raise kinds of their own
-        raise FileFormatError(path, "is not a readable table of text embeddings", _REMEDY) from error

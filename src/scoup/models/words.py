@@ -14,20 +14,12 @@ from torch import Tensor
 CANONICAL_PHRASES = ("object", "things", "stuff", "texture")
 """Every query is compared with these (method.md, stage 3). They are encoded without a prompt template."""
 
-EVERYDAY_WORDS: tuple[str, ...]
-"""About a thousand names of things, indoors and outdoors, for text models; a word table has words of its own.
-
-Read from everyday_words.txt on first use.
-"""
+EVERYDAY_WORDS = tuple(
+    Path(__file__).with_name("everyday_words.txt").read_text(encoding="utf-8").splitlines()
+)
+"""About a thousand names of things, indoors and outdoors, for text models; a word table has words of its own."""
 LEAST_WORDS = 16
 """Fewer words say nothing about words in general: with eight, absent things were often reported as present."""
-
-
-def __getattr__(name: str) -> tuple[str, ...]:
-    if name != "EVERYDAY_WORDS":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    text = Path(__file__).with_name("everyday_words.txt").read_text(encoding="utf-8")
-    return globals().setdefault(name, tuple(text.splitlines()))
 
 
 def with_everyday(canonical: Tensor, words: Tensor) -> Tensor:

@@ -21,13 +21,12 @@ import torch
 from torch import Tensor
 
 from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
-from scoup.raster.combinations import CombinedLabels, combine
-from scoup.raster.decoding import cosines_from_codes, decoded, view_colors
+from scoup.raster.combinations import CombinedLabels, ViewSums, combine, merge
+from scoup.raster.decoding import cosines_and_norms, view_colors
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME, morton_codes, morton_order, restored
 from scoup.raster.presets import RASTER_PRESETS, RasterPreset, raster_preset
 from scoup.raster.reference import ReferenceProjection
-from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene import Camera, Gaussians
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ __all__ = [
     "Projection",
     "ViewSums",
     "combine",
-    "cosines_from_codes",
+    "cosines_and_norms",
     "merge",
     "morton_codes",
     "morton_order",
@@ -282,7 +281,7 @@ def render_features(projection: Projection, indices: Tensor, weights: Tensor, co
     for level, atoms in enumerate(codebook):  # the coefficients of one level at a time
         of_level = slice(level, level + 1)
         codes = backend.render_codes(projection, indices[:, of_level], weights[:, of_level], len(atoms))[0]
-        features.append(decoded(codes, atoms))
+        features.append(torch.nn.functional.normalize(codes @ atoms, dim=-1))
     return torch.stack(features)
 
 

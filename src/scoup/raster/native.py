@@ -88,18 +88,16 @@ def region_sums(projection: NativeProjection, combined: CombinedLabels) -> tuple
 
 def render_channels(projection: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
-    image, alpha = _channels(projection, values, with_alpha=True)
+    with required_core() as core:
+        image, alpha = core.render_channels(projection.handle, _array(values), torch.get_num_threads(), True)
     return torch.from_numpy(image), torch.from_numpy(alpha)
 
 
 def render_values(projection: NativeProjection, values: Tensor) -> Tensor:
     """See ``raster.render_values``."""
-    return torch.from_numpy(_channels(projection, values, with_alpha=False)[0])
-
-
-def _channels(projection: NativeProjection, values: Tensor, with_alpha: bool) -> tuple[Any, Any]:
     with required_core() as core:
-        return core.render_channels(projection.handle, _array(values), torch.get_num_threads(), with_alpha)
+        image, _ = core.render_channels(projection.handle, _array(values), torch.get_num_threads(), False)
+    return torch.from_numpy(image)
 
 
 def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:

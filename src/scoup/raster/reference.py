@@ -14,11 +14,10 @@ import torch
 from torch import Tensor
 
 from scoup.raster.binning import Bins, bin_to_tiles
-from scoup.raster.combinations import CombinedLabels
+from scoup.raster.combinations import CombinedLabels, merge
 from scoup.raster.decoding import cosines_and_norms
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
-from scoup.raster.view_sums import merge
 from scoup.scene import Camera, Gaussians, check_atoms, rows_of
 
 PREPARES = False  # the order of the rows makes no difference to the speed
@@ -70,7 +69,7 @@ def region_sums(projection: ReferenceProjection, combined: CombinedLabels) -> tu
     """See ``raster.region_sums``."""
     n_combinations = len(combined.table)
     entries: list[tuple[Tensor, Tensor, Tensor]] = []
-    tiled = to_tiles(combined.map[None].long(), projection.bins, fill=-1)[:, 0]  # [tiles, P]
+    tiled = to_tiles(combined.map.long(), projection.bins, fill=-1)  # [tiles, P]
     for batch in _batches(projection):
         one_hot, number_of_column = _one_hot_columns(tiled[batch.tiles], n_combinations)
         for slots, ranks, weights in _blend(projection, batch):
@@ -265,14 +264,13 @@ def _empty_tiles(projection: ReferenceProjection, channels: int, device: torch.d
     )
 
 
-def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
-    """Rearrange [S, H, W] to [tiles, S, P]; pixels beyond the image get ``fill``."""
-    levels, height, width = maps.shape
-    padded = torch.nn.functional.pad(
-        maps, (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height), value=fill
-    )
-    blocks = padded.view(levels, bins.down, bins.tile, bins.across, bins.tile)
-    return blocks.permute(1, 3, 0, 2, 4).reshape(bins.across * bins.down, levels, bins.tile**2)
+def to_tiles(map_: Tensor, bins: Bins, fill: int) -> Tensor:
+    """Rearrange [H, W] to [tiles, P]; pixels beyond the image get ``fill``."""
+    height, width = map_.shape
+    margin = (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height)
+    padded = torch.nn.functional.pad(map_, margin, value=fill)
+    blocks = padded.view(bins.down, bins.tile, bins.across, bins.tile)
+    return blocks.transpose(1, 2).reshape(bins.across * bins.down, bins.tile**2)
 
 
 def _from_tiles(tiles: Tensor, projection: ReferenceProjection) -> Tensor:

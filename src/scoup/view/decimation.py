@@ -34,8 +34,8 @@ class PageGaussians:
 def decimate(
     gaussians: Gaussians,
     most: int = MOST_GAUSSIANS,
-    owners: Tensor | None = None,
-    copies: NDArray[np.int64] | None = None,
+    owners: Tensor | None = None,  # [N] the thing of each Gaussian, if things are known
+    copies: NDArray[np.int64] | None = None,  # [N] how many similar Gaussians each of a sample stands for
 ) -> PageGaussians:
     """Return the Gaussians of a page, at most so many; without colours that depend on the direction.
 
@@ -43,12 +43,6 @@ def decimate(
     similar colour, and of the same thing. Cells are as small as the number allows; those that cover most are halved
     while the number allows that. A merged Gaussian has the mean and covariance of its members, weighted by opacity
     times area, and an opacity that covers as much; its codes and things are those of the member that covers most.
-
-    Args:
-        gaussians: of the field, on the CPU.
-        most: 1 or more.
-        owners: [N] integers, the thing of each Gaussian, if things are known.
-        copies: [N] how many similar Gaussians each stands for, if they are a sample; by default 1.
     """
     rows = np.flatnonzero(drawable(gaussians))
     drawn = _Arrays.of(gaussians, rows)

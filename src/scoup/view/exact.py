@@ -25,22 +25,16 @@ _WORDS_SHOWN = 5
 
 def draw_picture(
     view: FieldView,
-    mode: PictureMode = "color",
-    answers: Sequence[Answer] = (),
-    colors: Colors = (),
-    opacity: float = 1.0,
-    level: int | None = None,
+    mode: PictureMode,
+    answers: Sequence[Answer],
+    colors: Colors,
+    opacity: float,
+    level: int | None,
 ) -> Picture:
     """Return [H, W, 3] uint8 of the camera's size, without lettering.
 
-    Args:
-        view: sides of at most ``LARGEST_SIDE`` pixels, and fewer pixels with texts (``MOST_FOR_TEXTS``).
-        mode: heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning,
-            like colour.
-        answers: for heat and mask.
-        colors: of the answers, 0..255.
-        opacity: of heat and masks, 0..1.
-        level: position of the level whose codes are shown; None: the middle one.
+    Heat is relevancy over the splat, of several answers in their ``colors`` (0..255), as are masks; codes are those of
+    the level at this position, None: the middle one.
 
     Raises:
         InputError: a value is out of range, or a text is missing.
@@ -76,16 +70,10 @@ def draw_picture(
 def what_is_at(
     view: FieldView, confidence: Tensor, pixel: tuple[int, int], words: TextVectors | None
 ) -> dict[str, Any]:
-    """Return the words that fit best at a pixel, level by level, and its position in the world.
+    """Return the words that fit best at a pixel (x, y), level by level, and its position in the world.
 
     The codes of the Gaussians that contribute to the pixel are summed by their blending weights, as a render of codes
     does (method.md, stage 3). The position is on the pixel's ray, at the median depth of that weight.
-
-    Args:
-        view: of the field.
-        confidence: [N, S] (``UnitCodes.confidence``).
-        pixel: (x, y).
-        words: a vocabulary, and what its words are compared with; None: no words.
 
     Returns:
         "position": [3] world units, None if nothing is there; "distance": from the camera; "levels": of each level its

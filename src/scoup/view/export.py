@@ -51,17 +51,11 @@ def export_page(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> ExportReport:
-    """Write a page that needs neither server nor network.
+    """Write a page that needs neither server nor network: the HTML file ``out``, or with ``split`` a folder, whose
+    ``index.html`` loads the data beside it. Parts of an earlier page in the folder go when it is overwritten.
 
     Texts and phrases over the field's vocabulary can be asked: the answer to each word lies in the page, the inner
     products of word and atoms (2 bytes each), level, thresholds, score and presence; and the relations of things.
-
-    Args:
-        viewed: the field, with its vocabulary.
-        out: the HTML file; with ``split`` a folder, whose ``index.html`` is opened.
-        split: write the data beside the page, as scripts that it loads.
-        overwrite: replace what is there; further parts of an earlier page go, too.
-        progress: called for the stages "words" and "pictures".
     """
     out = Path(out)
     part_files = [f"part_{number}.js" for number in range(viewed.n_parts)]

@@ -1,4 +1,5 @@
-"""The Model Context Protocol server, by the protocol's own package `mcp`, and over standard input and output."""
+"""The Model Context Protocol server, by the protocol's own package `mcp`: over standard input and output, or over HTTP
+for several clients on this machine, each of whose requests carries a token."""
 
 from __future__ import annotations
 
@@ -8,7 +9,9 @@ import inspect
 import io
 import itertools
 import json
+import logging
 import re
+import secrets
 import signal
 import sys
 import threading
@@ -23,9 +26,11 @@ from PIL import Image as Pictures
 
 from scoup.base import VERSION, ScoupError, as_json, printable
 from scoup.pictures import Picture
-from scoup.view.mcp_http import serve_http
+from scoup.view.guard import MOST_BYTES
 from scoup.view.scene_tools import SceneTools
+from scoup.view.viewer import bound_socket
 
+HOST = "127.0.0.1"
 INSTRUCTIONS = (
     "3D scenes whose objects can be found by text. Begin with list_scenes. Things have numbers that stay the same; "
     "positions are in scene units; keys that end in _metres are in metres, where the scene knows them."
@@ -216,3 +221,64 @@ def _png(picture: Picture) -> bytes:
     data = io.BytesIO()
     Pictures.fromarray(picture).save(data, "PNG")
     return data.getvalue()
+
+
+def serve_http(
+    server: Any, port: int, announce: Callable[[str, str], None], stopping: Callable[[int], None]
+) -> None:
+    """Serve over HTTP, to this machine only, until a signal ends it.
+
+    The package `mcp` refuses other names of the host than those of loopback, and requests of other sites.
+    ``announce`` gets the address and a new token once clients can connect, ``stopping`` the number of the signal.
+
+    Raises:
+        InputError: the port cannot be bound to.
+        KeyboardInterrupt: after SIGINT or SIGTERM, once the server has ended.
+    """
+    import uvicorn
+    from starlette.requests import ClientDisconnect
+
+    from scoup.view.connections import server_config
+
+    class Server(uvicorn.Server):
+        def handle_exit(self, sig: int, frame: Any) -> None:
+            stopping(sig)
+            super().handle_exit(sig, frame)
+
+    # The package takes a client that leaves in the midst of its request for a fault.
+    logging.getLogger("mcp.server.streamable_http").addFilter(
+        lambda record: not (record.exc_info and isinstance(record.exc_info[1], ClientDisconnect))
+    )
+    token = secrets.token_urlsafe(24)
+    inner = server.streamable_http_app(
+        host=HOST, json_response=True, stateless_http=True, max_request_body_size=MOST_BYTES
+    )
+    with bound_socket(HOST, port) as listening:
+        listening.listen()  # clients wait until the server runs
+        announce(f"http://{HOST}:{listening.getsockname()[1]}/mcp", token)
+        guarded = _WithToken(inner, token)
+        Server(server_config(guarded, guarded.has_token, "on")).run(sockets=[listening])
+
+
+class _WithToken:
+    """Refuses requests without the token."""
+
+    def __init__(self, inner: Any, token: str) -> None:
+        self.inner = inner
+        self.expected = f"Bearer {token}".encode()
+
+    def has_token(self, scope: Any) -> bool:
+        """Return whether a request has the token, by its ASGI scope."""
+        given = dict(scope.get("headers", ())).get(b"authorization", b"")
+        return secrets.compare_digest(given, self.expected)
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        from starlette.responses import PlainTextResponse
+
+        refusal = PlainTextResponse(
+            "send the header Authorization: Bearer TOKEN, with the token that scoup mcp printed",
+            401,
+            {"www-authenticate": "Bearer", "connection": "close"},
+        )
+        is_refused = scope["type"] == "http" and not self.has_token(scope)
+        await (refusal if is_refused else self.inner)(scope, receive, send)

@@ -61,12 +61,7 @@ class PageFiles:
         return self.index.replace(SETTINGS, _settings_line(settings))
 
     def in_one(self, settings: Mapping[str, Any], data: str) -> str:
-        """Return the HTML with everything inside.
-
-        Args:
-            settings: of the page.
-            data: HTML that sets ``window.scoupData``.
-        """
+        """Return the HTML with everything inside; ``data`` is HTML that sets ``window.scoupData``."""
         program = base64.b64encode(self.packed_program).decode()
         scripts = f'<script>window.scoupProgram = "{program}";</script>\n{_UNPACK}'
         licences = f"<!--\n{self.licences.replace('--', '- -')}\n-->"

@@ -25,12 +25,7 @@ class Parts:
     """A large scene, cut along a Z-order curve into parts of about equal numbers of Gaussians.
 
     Parts and coarse Gaussians are made when they are asked for. Of a scene with more than ``most``, each part merges as
-    large a share as the others, unless it is asked for whole.
-
-    Args:
-        gaussians: of the field, on the CPU.
-        most: of all parts together.
-        owners: [N] integers, the thing of each Gaussian, if things are known.
+    large a share as the others, unless it is asked for whole. ``owners`` [N] are the things of the Gaussians.
     """
 
     def __init__(self, gaussians: Gaussians, most: int, owners: Tensor | None = None) -> None:
@@ -65,8 +60,10 @@ class Parts:
             chosen = number == index
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
             parts.append(self._decimated(rows[chosen], most, copies[chosen]))
-        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in parts), strict=True)]
-        return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in parts]
+        tensors = zip(*(shown.gaussians.tensors().values() for shown in parts), strict=True)
+        joined = Gaussians(*map(torch.cat, tensors))
+        rows_of_parts = [shown.rows for shown in parts]
+        return PageGaussians(joined, torch.cat(rows_of_parts)), [*map(len, rows_of_parts)]
 
     def _covers(self) -> NDArray[np.float32]:
         """Return the cover of each Gaussian, [N]."""
@@ -110,8 +107,3 @@ class Parts:
         return self._ends.searchsorted(morton_codes(means, self._around)[0].numpy(), side="right").astype(
             np.uint16
         )
-
-
-def _tensors(shown: PageGaussians) -> tuple[Tensor, ...]:
-    gaussians = shown.gaussians
-    return shown.rows, gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh

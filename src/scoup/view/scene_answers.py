@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base import InputError
 from scoup.field import Field
 from scoup.query import ExpressionAnswer, Question, answers_of, level_thresholds
-from scoup.view.unit_codes import atom_scores
+from scoup.view.scene_data import atom_scores
 
 _AT_A_TIME = 16  # texts whose Gaussians are in memory together
 VERDICT = ("score", "certainty", "present", "gaussians", "runner_up")
@@ -55,12 +55,7 @@ class PageAnswer:
 
 
 def scene_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
-    """Yield the answer to each text or phrase, in their order.
-
-    Args:
-        field: to be queried.
-        question: from ``field.question``.
-    """
+    """Yield the answer to each text or phrase, in their order."""
     starts = range(0, len(question.texts), _AT_A_TIME)
     batches = (question.some(slice(start, start + _AT_A_TIME)) for start in starts)
     for some in [question] if question.asked else batches:

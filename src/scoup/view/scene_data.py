@@ -21,6 +21,7 @@ Gaussians, with a version and ranges of its own.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +33,9 @@ from torch import Tensor
 from scoup.field import NO_THING, Field
 from scoup.pictures import code_basis
 from scoup.query import placed_atoms
-from scoup.scene import SH_C0, Camera, Cameras, Gaussians, SparseCodes, signed
+from scoup.scene import SH_C0, Cameras, Gaussians, SparseCodes, signed
 from scoup.view.decimation import PageGaussians
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
-from scoup.view.unit_codes import UnitCodes
 
 VERSION = 1
 _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
@@ -46,17 +46,46 @@ NO_OWNER = 65535
 """In the place of the number of a thing."""
 
 
-def scene_metadata(
-    field: Field, name: str, words_problem: str | None = None, present_from: float | None = None
-) -> dict[str, Any]:
-    """Return the metadata of a field for the page as plain JSON values.
+@dataclass(frozen=True, eq=False)
+class UnitCodes:
+    """Codes whose decoded features have norm 1. Tensors are on the CPU.
 
-    Args:
-        field: to be shown.
-        name: shown as its title.
-        words_problem: why no text can be asked; None if texts can.
-        present_from: the score from which a text counts as present; None: presence is not judged.
+    The cosine of a Gaussian with a text is (w A) / sqrt(w G w^T) with A = C T^T and G = C C^T (method.md, stage 3).
+    The divisor does not depend on the text: it is taken out of the weights once.
     """
+
+    indices: Tensor  # [N, S, K] as in the field
+    weights: (
+        Tensor  # [N, S, K] float32, divided by the norm of the decoded code; zeros where there is no code
+    )
+    confidence: Tensor  # [N, S] float32
+    """0 to 1, norm of the decoded code when its weights sum to 1: 1 where all regions that voted for the Gaussian have
+    one embedding, and less the more they differ; 0 where there is no code."""
+
+    @classmethod
+    def of(cls, field: Field, rows: Tensor | slice = slice(None)) -> UnitCodes:
+        """Return the unit codes of a field, or of some rows of it, on the CPU."""
+        codes = field.codes.cpu().rows(rows)
+        weights, inverse_norms = codes.weights.float(), codes.inverse_norms()
+        lengths = weights.sum(-1) * inverse_norms
+        confidence = torch.where(lengths > 0, 1 / lengths, 0.0).clamp(0, 1)
+        unit = weights * inverse_norms[..., None]
+        return cls(codes.indices, unit, confidence)
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+def atom_scores(field: Field, vectors: Tensor) -> Tensor:
+    """Return [S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
+    return field.codebook.float().cpu() @ vectors.float().cpu().T
+
+
+def scene_metadata(
+    field: Field, name: str, words_problem: str | None, present_from: float | None
+) -> dict[str, Any]:
+    """Return the metadata of a field for the page as plain JSON values; None for ``present_from``, the score from which
+    a text counts as present: presence is not judged."""
     up = field.up()
     centre, radius = surroundings(field.gaussians, field.cameras)
     model = field.embedding_model
@@ -74,7 +103,16 @@ def scene_metadata(
         "embedding_model": Path(model).name if Path(model).is_absolute() else model,
         "words_problem": words_problem,
         "present_from": present_from,
-        "cameras": [_camera_record(camera) for camera in field.cameras or ()],
+        "cameras": [
+            {
+                "name": camera.name,
+                "viewmat": camera.viewmat.flatten().tolist(),
+                "K": camera.K.flatten().tolist(),
+                "width": camera.width,
+                "height": camera.height,
+            }
+            for camera in field.cameras or ()
+        ],
         **({} if field.thing_table is None else {"n_things": len(field.thing_table)}),
     }
 
@@ -82,19 +120,11 @@ def scene_metadata(
 def scene_data(
     field: Field,
     shown: PageGaussians,
-    canonical: Tensor | None,
+    canonical: Tensor | None,  # [S, L, P] scores of the canonical phrases; None if no text can be asked
     metadata: dict[str, Any],
-    effort: int = 6,
+    effort: int,  # of compression, 1 to 9
 ) -> bytes:
-    """Return the file that the page loads first.
-
-    Args:
-        field: to be shown, with its geometry.
-        shown: its Gaussians in this file.
-        canonical: [S, L, P] scores of the canonical phrases; None if no text can be asked.
-        metadata: from ``scene_metadata``.
-        effort: of compression, 1 to 9.
-    """
+    """Return the file that the page loads first."""
     codes = UnitCodes.of(field, shown.rows)
     tensors, ranges = _rows(field, shown, codes)
     tensors |= _code_colors(field, codes)
@@ -103,7 +133,7 @@ def scene_data(
     return packed(tensors, {**metadata, **ranges}, effort)
 
 
-def part_data(field: Field, shown: PageGaussians, effort: int = 6) -> bytes:
+def part_data(field: Field, shown: PageGaussians, effort: int) -> bytes:
     """Return the file of a part of the scene, which the page loads later; arguments as for ``scene_data``."""
     tensors, ranges = _rows(field, shown, UnitCodes.of(field, shown.rows))
     return packed(tensors, {"version": VERSION, **ranges}, effort)
@@ -150,16 +180,6 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
         centre = torch.linalg.solve(matrix, right)
     radius = float((places - centre).norm(dim=1).median())
     return centre.tolist(), max(radius, least)
-
-
-def _camera_record(camera: Camera) -> dict[str, Any]:
-    return {
-        "name": camera.name,
-        "viewmat": camera.viewmat.flatten().tolist(),
-        "K": camera.K.flatten().tolist(),
-        "width": camera.width,
-        "height": camera.height,
-    }
 
 
 def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

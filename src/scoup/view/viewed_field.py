@@ -23,8 +23,7 @@ from scoup.view.decimation import MOST_GAUSSIANS, decimate
 from scoup.view.exact import Colors, PictureMode, draw_picture, what_is_at
 from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
-from scoup.view.scene_data import part_data, scene_data, scene_metadata
-from scoup.view.unit_codes import UnitCodes, atom_scores
+from scoup.view.scene_data import UnitCodes, atom_scores, part_data, scene_data, scene_metadata
 
 THUMBNAIL_WIDTH = 160
 NO_WORDS = "this page was exported without words"

@@ -32,20 +32,15 @@ _FRAME = """{% if address %}<iframe src="{{ address }}" title="Viewer of {{ name
 class Viewer:
     """A field in the browser, served from a thread of this process until ``close``, or the end of a ``with`` block.
 
-    In a notebook it shows its page.
+    In a notebook it shows its page. ``remote`` and ``height`` are as for ``open_viewer``.
 
     Attributes:
         address: to be opened in a browser.
-        viewed: the field.
-        height: of the page in a notebook, in pixels.
         is_local: only this machine reaches it.
 
     Args:
-        viewed: the field.
-        host: to bind to. Beyond loopback the address holds a token that nobody can guess.
+        host: to bind to. Beyond loopback the address contains a token that nobody can guess.
         port: to bind to; 0 takes any, None ``PORT`` or, if that is in use, any.
-        remote: show pictures of the server only, for scenes or machines that are too much for the browser.
-        height: of the page in a notebook, in pixels.
 
     Raises:
         ScoupError: the page was not built, or a package is missing.

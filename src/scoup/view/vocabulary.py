@@ -18,7 +18,7 @@ from scoup.view.scene_data import NO_OWNER
 _NONE = 255  # of a certainty
 
 
-def words_data(field: Field, question: Question, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: Field, question: Question, answers: Sequence[PageAnswer]) -> bytes:
     """Return the file of words in an exported page, packed as ``scene_data`` packs the scene; V words.
 
     gram [S, L, L] float16, inner products of atoms. scores [V, S, L] float16, of word and atoms. thresholds [V, S].
@@ -26,12 +26,6 @@ def words_data(field: Field, question: Question, answers: Sequence[PageAnswer], 
     score [V], gaussians [V] int32. With things: runner_up [V] uint16 (65535: none), runner_up_score [V], thing_counts
     [V, 2 + S] and things [M] uint16 (``_things``), and the arrays of ``scoup.query.phrase_data``. Other numbers are
     float32. Metadata: names, certainties, remarks; with things, the facts of ``phrase_data``.
-
-    Args:
-        field: that was asked.
-        question: of the words.
-        answers: one a word.
-        effort: of compression, 1 to 9.
     """
     verdicts = [answer.verdict for answer in answers]
     words = get_args(Certainty)
@@ -61,7 +55,7 @@ def words_data(field: Field, question: Question, answers: Sequence[PageAnswer], 
         tensors["runner_up"] = np.array([rival["thing"] for rival in rivals], np.uint16)
         tensors["runner_up_score"] = np.array([rival["score"] for rival in rivals], np.float32)
         metadata |= facts
-    return packed(tensors, metadata, effort)
+    return packed(tensors, metadata, 9)
 
 
 def _things(answers: Sequence[PageAnswer], parts: Sequence[list[int]]) -> dict[str, NDArray[np.uint16]]:

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.field import Field, FieldInfo, ThingTable, relevancy
-from scoup.raster import cosines_from_codes
 from scoup.uplift import RegionSums
 
 ROWS_AT_A_TIME = 1 << 15  # pixels or Gaussians compared together
@@ -180,7 +179,8 @@ def embedding_cosines(rows: Tensor, queries: Tensor) -> Tensor:
 
 def code_cosines(atoms: Tensor) -> Cosines:
     """Return ``Cosines`` of channels that are coefficients over atoms [L, D]."""
-    return lambda rows, queries: cosines_from_codes(rows, atoms, queries)
+    gram = atoms @ atoms.T
+    return lambda rows, queries: raster.cosines_and_norms(rows, atoms @ queries.T, gram)[0]
 
 
 def resized_image(image: Tensor, width: int, height: int) -> Tensor:
