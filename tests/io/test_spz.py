@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from splat_damages import AXES
 from splat_damages import spz as packed
 
-from io_samples import same_gaussians, some_gaussians, tame
+from io_samples import PLACE, same_gaussians, some_gaussians, tame
 from messages import refuses, warns
 from scoup.base import FileFormatError, ScoupWarning, WorldFrame
 from scoup.io import load_gaussians, save_gaussians
@@ -167,8 +167,6 @@ def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None
 
 
 # ---- the place on Earth
-
-PLACE = WorldFrame(0.25, (0.1, -0.9, 0.2), (0.8, 0.1, 0.5), (48.2082, 16.3738, 187.5), "map")
 
 
 def at_place(frame: WorldFrame) -> Any:
