@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 from messages import refuses
 from scoup.base import UnknownNameError
 from scoup.base.errors import nearest_names
-from scoup.io import load_gaussians
 from scoup.raster import cosines_from_codes
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes, index_dtype
@@ -339,13 +337,3 @@ def test_values_that_are_not_finite_do_not_hide_the_rest() -> None:
         gaussians.opacities[3:4] = torch.nan
         (found,) = sanity_problems(gaussians)
         assert found.startswith(said)
-
-
-@pytest.mark.data
-@pytest.mark.parametrize(
-    "name", ["guitar/guitar.ply", "guitar/guitar.compressed.ply", "inria_ply/point_cloud.ply", "kitchen"]
-)
-def test_real_scenes_have_none(data_folder: Path, name: str) -> None:
-    path = data_folder / name
-    gaussians: Gaussians = load_gaussians(path / "scene" / "model.splat" if path.is_dir() else path)
-    assert sanity_problems(gaussians) == []
