@@ -13,7 +13,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from gltf_samples import (
     SPLATS,
@@ -29,10 +28,9 @@ from gltf_samples import (
 from io_samples import PLACE, covariances, heights, same_gaussians, some_cameras, some_gaussians
 from messages import refuses, warns
 from scoup.base import FileFormatError, MissingFileError, ScoupWarning, WorldFrame
-from scoup.io import load_gaussians, save_gaussians
+from scoup.io import load_gaussians, save_gaussians, write_gltf
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
-from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
@@ -206,11 +204,6 @@ def test_a_half_turn_is_the_rotation(axis: Axis) -> None:
     again = turned(found, axis)
     assert same_gaussians(again, gaussians)
     assert again.world == PLACE
-
-
-def test_rotations_of_harmonics_form_a_group() -> None:
-    sh, rotation = some_gaussians(4, 3).sh.numpy(), Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
-    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, rotation), rotation.T), sh, atol=2e-6)
 
 
 @pytest.mark.parametrize("axis", TURNS)

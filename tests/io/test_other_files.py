@@ -11,7 +11,7 @@ import torch
 
 from io_samples import POINT_HEADER, TURNED
 from scoup.base import OutputExistsError
-from scoup.io.similarity import read_similarity
+from scoup.io import read_similarity
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
 
 

@@ -38,13 +38,12 @@ from scoup.base import (
     ScoupWarning,
     UnknownNameError,
 )
-from scoup.io import convert_regions, load_regions
+from scoup.io import RegionManifest, ViewRegions, convert_regions, load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.langsplat import level_blocks
-from scoup.io.regions.manifest import RegionManifest, write_manifest
+from scoup.io.regions.manifest import write_manifest
 from scoup.io.regions.store import read_view
-from scoup.io.regions.views import ViewRegions
 from scoup.scene import LEVELS, Cameras
 
 
@@ -103,12 +102,6 @@ def test_labels_of_every_type_at_every_size(tmp_path, dtype, distortion):
         assert torch.equal(again, labels)
         for item, rows in zip(maps, embeddings, strict=True):
             assert torch.equal(item.embeddings, rows)
-
-
-def test_embeddings_that_are_objects(tmp_path):
-    save_npy(tmp_path, "view_00", planes_of([0], [1], [2], [3]), np.array([{"a": 1}] * 4))
-    with pytest.raises(FileFormatError, match="plain numbers"):
-        load_regions(tmp_path, some_cameras(1))
 
 
 def test_labels_alone_do_not_read_embeddings(tmp_path):
