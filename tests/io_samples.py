@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
+from tests.support import random_gaussians
 
 from scoup.base import WorldFrame
 from scoup.io import RegionManifest, ViewRegions
@@ -42,14 +43,7 @@ POINT_HEADER = "\n".join([
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
-    generator = torch.Generator().manual_seed(seed)
-    quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
-    means = torch.randn(count, 3, generator=generator)
-    scales = torch.exp(torch.randn(count, 3, generator=generator) - 3)
-    opacities = torch.rand(count, generator=generator)
-    return Gaussians(
-        means, quats, scales, opacities, torch.randn(count, (degree + 1) ** 2, 3, generator=generator)
-    )
+    return random_gaussians(count, seed, degree=degree)
 
 
 def tame(count: int, degree: int, seed: int, largest: float = 4.0, most_sh: float = 0.9) -> Gaussians:
