@@ -115,8 +115,11 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
         (tmp_path / MANIFEST).unlink()
     assert RegionStore.open(tmp_path).layout == layout
     assert load_regions(tmp_path, cameras).view_names == cameras.names
-    with refuses():
-        RegionStore.create(tmp_path, manifest_of(), overwrite=True)
+    before = snapshot(tmp_path)
+    for overwrite in (False, True):
+        with refuses():
+            RegionStore.create(tmp_path, manifest_of(), overwrite=overwrite)
+    assert snapshot(tmp_path) == before
 
 
 def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
