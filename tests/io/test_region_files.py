@@ -197,17 +197,6 @@ def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> 
         assert view.embeddings("s").dtype == np.float16
 
 
-def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:
-    cameras = some_cameras(3)
-    save_compact(tmp_path, cameras)
-    (tmp_path / "view_01.regions").unlink()
-    with warns(ScoupWarning):
-        assert load_regions(tmp_path, cameras).view_names == ("view_00.png", "view_02.png")
-    write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, settings={"other": 1}), overwrite=True)
-    with refuses(MissingFileError):
-        load_regions(tmp_path, cameras)
-
-
 def test_every_flipped_bit_and_every_cut_is_noticed(path: Path) -> None:
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
