@@ -14,7 +14,8 @@ from torch import Tensor
 
 from scoup.base.sealed_file import KEY as METADATA_KEY
 from scoup.base.sealed_file import array_checksum, sealed
-from scoup.field import FieldInfo
+from scoup.field import FieldInfo, ThingTable
+from scoup.field.thing_table import TENSORS
 from scoup.query import LanguageField
 from scoup.scene import Camera, Cameras, Gaussians
 
@@ -48,6 +49,16 @@ def small_field() -> LanguageField:
     made_with = {"settings": {"k": K, "share": 0.1}}
     info = FieldInfo(("s", "m", "l"), "a/model é", gaussians.fingerprint(), COUNT, "inria", made_with)
     return LanguageField(indices, weights, codebook, info, gaussians, Path("somewhere/splat.ply"), cameras)
+
+
+def check_same_things(one: ThingTable | None, other: ThingTable | None) -> None:
+    """Equal in every number, and in the names."""
+    for name in TENSORS:
+        mine, theirs = getattr(one, name), getattr(other, name)
+        assert mine.dtype == theirs.dtype
+        assert mine.equal(theirs), name
+    names = [getattr(getattr(each, "names", None), "texts", ()) for each in (one, other)]
+    assert names[0] == names[1]
 
 
 def parts_of(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

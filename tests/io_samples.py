@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
+from tests.support import random_gaussians
 
+from scoup.base import WorldFrame
 from scoup.io import RegionManifest, ViewRegions
 from scoup.io.regions.compact import write_view
 from scoup.io.regions.manifest import write_manifest
@@ -31,6 +33,7 @@ from scoup.scene import (
 
 MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
 TURNED = np.array([[0, -2.0, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])
+PLACE = WorldFrame(0.25, (0.1, -0.9, 0.2), (0.8, 0.1, 0.5), (48.2082, 16.3738, 187.5), "map")
 APPLIED = [[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]  # of ns-process-data
 POINT_HEADER = "\n".join([
     "ply", "format {encoding} 1.0", "element vertex {count}", *(f"property float {axis}" for axis in "xyz"),
@@ -40,14 +43,7 @@ POINT_HEADER = "\n".join([
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
-    generator = torch.Generator().manual_seed(seed)
-    quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
-    means = torch.randn(count, 3, generator=generator)
-    scales = torch.exp(torch.randn(count, 3, generator=generator) - 3)
-    opacities = torch.rand(count, generator=generator)
-    return Gaussians(
-        means, quats, scales, opacities, torch.randn(count, (degree + 1) ** 2, 3, generator=generator)
-    )
+    return random_gaussians(count, seed, degree=degree)
 
 
 def tame(count: int, degree: int, seed: int, largest: float = 4.0, most_sh: float = 0.9) -> Gaussians:
@@ -74,6 +70,12 @@ def covariances(gaussians: Gaussians) -> torch.Tensor:
     """[N, 3, 3] float64."""
     axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
     return axes @ axes.transpose(1, 2)
+
+
+def heights(gaussians: Gaussians) -> np.ndarray:
+    """Metres, in the frame of the Gaussians."""
+    up = torch.tensor(gaussians.world.up or (0, -1, 0), dtype=torch.float64)
+    return ((gaussians.world.metres_per_unit or 1) * gaussians.means.double() @ up).numpy()
 
 
 def some_cameras(

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
+from extract.test_pipeline import scene
 from mask_samples import random_masks, smooth_image
-from scoup.extract import extract, find_photographs, open_embedder, open_segmenter
+from scoup.extract import Masks, extract, find_photographs, open_embedder, open_segmenter
 from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import RegionEmbedder
-from scoup.extract.masks import Masks
 from scoup.io import RegionManifest, load_regions
-from scoup.scene import Camera
 from tiny_models import saved, tiny_clip, tiny_siglip
 
 
@@ -55,9 +53,7 @@ def test_regions_are_pooled_over_the_places_that_they_cover(folder: Path, size: 
 
 def test_an_extraction_with_it_names_the_model_for_texts(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
-    photographs = tmp_path / "photographs"
-    photographs.mkdir()
-    Image.fromarray(smooth_image(60, 80)).save(photographs / "a.png")
+    photographs, cameras = scene(tmp_path / "scene", 1)
     out = tmp_path / "regions"
     segmenter, embedder = open_segmenter("felzenszwalb"), open_embedder(f"dense:{folder}")
     extract(find_photographs(photographs), out, segmenter, embedder)
@@ -65,7 +61,6 @@ def test_an_extraction_with_it_names_the_model_for_texts(folder: Path, tmp_path:
     assert manifest is not None
     assert manifest.settings["embedder"] == str(folder)
     assert manifest.settings["embedder_pooling"] == "dense"
-    camera = Camera.from_c2w("a.png", torch.eye(4), torch.eye(3), 80, 60)
-    embeddings = load_regions(out, [camera]).load("a.png", "s").embeddings
+    embeddings = load_regions(out, cameras).load("0.png", "s").embeddings
     assert embeddings.shape[1] == embedder.dim
     assert np.isfinite(embeddings.numpy()).all()

@@ -88,9 +88,12 @@ def test_images_may_be_long_and_narrow(size: tuple[int, int]) -> None:
     assert (camera.width, camera.height) == size
 
 
-# Some of the parts of all candidates have nothing, or lie at one place.
+# Some of the parts of the matter have nothing, or lie at one place.
+@pytest.mark.usefixtures("few_candidates")
 @pytest.mark.parametrize("places", [8, 20])
-def test_many_gaussians_may_be_at_one_place(places: int) -> None:
+def test_many_gaussians_may_be_at_one_place(places: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.extract.constants.PARTS", 16)
+    monkeypatch.setattr("scoup.extract.constants.AROUND_PART", 2)
     gaussians = random_gaussians(300, seed=1)
     means = gaussians.means[torch.arange(300) % places]
     assert len(choose_cameras(replace(gaussians, means=means), width=32, height=24, count=2)) == 2

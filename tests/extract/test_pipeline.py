@@ -172,18 +172,6 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path, monkeypatch:
     assert len(scoup.load_regions(out, cameras)) == 4
 
 
-def test_features_made_by_others_are_left_alone(tmp_path: Path) -> None:
-    folder, _ = scene(tmp_path)
-    out = tmp_path / "out"
-    out.mkdir()
-    np.save(out / "0_s.npy", np.zeros((4, 2, 2), np.float32))
-    before = snapshot(out)
-    for overwrite in (False, True):
-        with refuses():
-            extract(find_photographs(folder), out, Blocks(), PlainColors(), overwrite=overwrite)
-    assert snapshot(out) == before
-
-
 def test_photographs_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path)
     photographs = find_photographs(folder)

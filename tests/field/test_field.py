@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 
 import scoup
 from field.conftest import field_with_things
-from field_files import parts_of, tensor_checksum, write_parts
+from field_files import check_same_things, parts_of, tensor_checksum, write_parts
 from messages import refuses
 from scoup.base import FileFormatError, OutputExistsError
 from scoup.base.errors import FieldVersionError
@@ -164,9 +164,7 @@ def check_same(one: LanguageField, other: LanguageField) -> None:
         assert torch.equal(getattr(one, name), getattr(other, name)), name
         assert getattr(one, name).dtype == getattr(other, name).dtype
     assert one.info == other.info
-    for name, part in vars(other.thing_table).items():
-        mine = getattr(one.thing_table, name)
-        assert mine.equal(part) if isinstance(part, torch.Tensor) else mine.texts == part.texts, name
+    check_same_things(one.thing_table, other.thing_table)
     assert one.gaussians.fingerprint() == other.gaussians.fingerprint()
     assert torch.equal(one.gaussians.sh, other.gaussians.sh)
     cameras = [

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from field_files import parts_of
+from field_files import check_same_things, parts_of
 from messages import refuses
 from planted_wall import SETTINGS, planted_wall
 from scoup.field import MOST_THINGS, NO_THING, Field, ThingTable
@@ -33,13 +33,6 @@ def field() -> LanguageField:
 def things_of(field: Field) -> ThingTable:
     assert field.thing_table is not None
     return field.thing_table
-
-
-def assert_same(one: ThingTable | None, other: ThingTable | None) -> None:
-    for name in TENSORS:
-        mine, theirs = getattr(one, name), getattr(other, name)
-        assert mine.dtype == theirs.dtype
-        assert mine.equal(theirs), name
 
 
 def test_numbers_take_two_bytes_in_files(field: LanguageField, tmp_path: Path) -> None:
@@ -68,7 +61,7 @@ def test_files_contain_any_number_of_things(
         owners[5, 1] = count - 1  # NO_THING of none
         things = ThingTable(owners, **parts)
     altered(field, thing_table=things).save(tmp_path / "f.scoup", weight_bits=weight_bits)
-    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, things)
+    check_same_things(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, things)
 
 
 def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) -> None:
@@ -76,22 +69,22 @@ def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) 
     mask[40:400:3] = True
     some = field[mask]
     assert things_of(some).owners.equal(things.owners[mask])
-    assert_same(replace(things_of(some), owners=things.owners), things)
+    check_same_things(replace(things_of(some), owners=things.owners), things)
     some.save(tmp_path / "part.scoup")
-    assert_same(LanguageField.load(tmp_path / "part.scoup").thing_table, some.thing_table)
+    check_same_things(LanguageField.load(tmp_path / "part.scoup").thing_table, some.thing_table)
     backwards = list(range(len(field)))[::-1]
     assert things_of(field[backwards]).owners.equal(things.owners.flip(0))
     assert things_of(field[[]]).owners.shape == (0, 2)
     assert altered(field, thing_table=None)[mask].thing_table is None
     moved = replace(field.gaussians, means=field.gaussians.means + 1, opacities=field.gaussians.opacities / 2)
-    assert_same(field.with_gaussians(moved).thing_table, field.thing_table)
+    check_same_things(field.with_gaussians(moved).thing_table, field.thing_table)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_fields_move_to_a_gpu_with_their_things(field: LanguageField) -> None:
     moved = field.to("cuda")
     assert {part.device.type for part in vars(things_of(moved)).values()} == {"cuda"}
-    assert_same(things_of(moved.to("cpu")), field.thing_table)
+    check_same_things(things_of(moved.to("cpu")), field.thing_table)
     assert things_of(moved[10:20]).owners.cpu().equal(things_of(field).owners[10:20])
 
 
@@ -170,4 +163,4 @@ def test_the_spread_is_that_of_the_median_sure_thing(things: ThingTable) -> None
     for other in ({"n_regions": things.n_regions.clamp(max=2)}, {"agreement": torch.ones(5)}):
         assert replace(things, **other).spread == LEAST_SPREAD
     assert replace(things, agreement=torch.zeros(5)).spread == pytest.approx(8**-0.5)
-    assert_same(things.to("cpu"), things)
+    check_same_things(things.to("cpu"), things)

@@ -22,12 +22,9 @@ from torch import nn
 from foreign_samples import captured, save_splatfacto
 from gltf_samples import SPLATS, columns_of, foreign, packed, spz_in_gltf
 from io_samples import ply_file, raw_columns, save_checkpoint, save_compressed_ply, some_gaussians
-from scoup.io import load_gaussians, save_gaussians
-from scoup.io.langsplat_checkpoint import read_langsplat
-from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+from scoup.io import load_gaussians, read_autoencoder, read_langsplat, save_gaussians, write_gltf
 from scoup.io.splats.formats import FORMATS
 from scoup.io.splats.gltf import read_gltf
-from scoup.io.splats.gltf_write import write_gltf
 from scoup.io.splats.ply import read_ply
 from scoup.io.splats.splat import read_splat
 from scoup.models import WordTable
@@ -158,6 +155,7 @@ SPZ = {
     "other": gzip.compress(b"these are not the bytes you are looking for"),
     "version 9": spz(9, 1, 0, body=bytes(20)), "degree 7": spz(3, 1, 7, body=bytes(20)),
     "two": spz(3, 2, 0, body=bytes(20)), "a byte more": spz(3, 1, 0, body=bytes(21)),
+    "no checksum": spz(3, 1, 0, body=bytes(20))[:-8],
     "short extension": spz(3, 1, 0, 2, bytes(23)), "axes 17": spz(3, 1, 0, 2, bytes(20) + AXES + b"\x11\0\0\0"),
     "no table": streams(32), "table within": streams(8, 90), "no positions": streams(32, 90),
     "no streams": struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 5),

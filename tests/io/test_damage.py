@@ -35,14 +35,13 @@ from io_samples import (
 )
 from messages import refuses
 from scoup.base import FileFormatError, MissingFileError
-from scoup.io import load_cameras, load_regions, read_tracks
-from scoup.io.cameras.colmap import read_colmap, read_points
+from scoup.io import load_cameras, load_regions, read_points, read_similarity, read_tracks
+from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.images import image_size
 from scoup.io.regions.manifest import MANIFEST
-from scoup.io.similarity import read_similarity
 from scoup.scene import LEVELS
 from scoup_lab.data.colmap_model import write_colmap
 from scoup_lab.data.labelled_points import read_labelled_ply
@@ -177,6 +176,7 @@ ROWS = {
     "nan": np.where(np.arange(16).reshape(4, 4) == 4, np.float32("nan"), unit_rows(4)), "one": unit_rows(4)[0],
     "inf": np.where(np.arange(16).reshape(4, 4) == 4, np.float32("inf"), unit_rows(4)),
     "integers": unit_rows(4).astype(np.int32), "no dimension": np.zeros((4, 0), np.float32),
+    "objects": np.array([{"a": 1}] * 4),
 }  # fmt: skip
 
 

@@ -37,7 +37,7 @@ DEGREES = 0.28  # three components to half a step of 0.7 / 511, and the largest,
 class Rounding:
     """How far the values of a format may be from those that were written."""
 
-    means: Callable[[Gaussians], Any]
+    means: Callable[[Gaussians], Any] | float
     logs: Callable[[Gaussians], Any] | float  # of scales
     colors: Callable[[Gaussians], Any] | float  # of the harmonics of degree 0
     sh: tuple[float, float] = (0.0, 0.0)  # of degree 1, and of higher ones
@@ -46,10 +46,6 @@ class Rounding:
     most_degree: int = 3
     most_color: float = 3.0
     most_sh: float = 0.9
-
-
-def no_rounding(_: Gaussians) -> float:
-    return 0.0
 
 
 def of_blocks(
@@ -91,15 +87,15 @@ ROUNDINGS = {
         of_blocks(lambda some: some.scales.log(), [2047, 1023, 2047]),
         of_blocks(lambda some: some.sh[:, 0] , [255, 255, 255]),
         (1 / 32 + 1e-5, 1 / 32 + 1e-5), DEGREES, most_sh=3.9),
-    ".splat": Rounding(no_rounding, 0.0, 0.5 / 255 / SH_C0 + 1e-5, degrees=1.6, most_degree=0, most_color=1.7),
+    ".splat": Rounding(0.0, 0.0, 0.5 / 255 / SH_C0 + 1e-5, degrees=1.6, most_degree=0, most_color=1.7),
     ".spz": SPZ, "4.spz": replace(SPZ, most_degree=4), "2.spz": replace(SPZ, degrees=13.0),
     "1.spz": replace(SPZ, means=of_halves, degrees=13.0),
     ".ksplat": Rounding(
-        no_rounding, 1e-5, 1 / 255 / 0.28 + 1e-4, (1e-5, 1e-5), 0.17, 2 * BYTE, most_degree=2, most_color=1.0),
-    ".sog": Rounding(lambda _: 0.01, 0.1, 0.1, (0.1, 0.1), 5.0, 0.1),
+        0.0, 1e-5, 1 / 255 / 0.28 + 1e-4, (1e-5, 1e-5), 0.17, 2 * BYTE, most_degree=2, most_color=1.0),
+    ".sog": Rounding(0.01, 0.1, 0.1, (0.1, 0.1), 5.0, 0.1),
 }  # fmt: skip
 BIT_BY_BIT = (".ply", ".glb", ".gltf")
-ROUNDINGS |= dict.fromkeys(BIT_BY_BIT, Rounding(no_rounding, 1e-6, 0.0, opacities=1e-6, degrees=0.1))
+ROUNDINGS |= dict.fromkeys(BIT_BY_BIT, Rounding(0.0, 1e-6, 0.0, opacities=1e-6, degrees=0.1))
 QUICK = [name for name in ROUNDINGS if name not in (".ksplat", ".sog")]  # these start a process for each file
 
 

@@ -1,4 +1,4 @@
-"""glTF: what is written by its rules, files as others write them, .spz inside, and its axes."""
+"""glTF: what is written by its rules, files as others write them, .spz inside, its axes and its frame of the world."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from gltf_samples import (
     SPLATS,
@@ -26,16 +25,14 @@ from gltf_samples import (
     read_in_its_axes,
     spz_in_gltf,
 )
-from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
+from io_samples import PLACE, covariances, heights, same_gaussians, some_cameras, some_gaussians
 from messages import refuses, warns
-from scoup.base import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, WorldFrame
+from scoup.io import load_gaussians, save_gaussians, write_gltf
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
-from scoup.io.splats.gltf_write import write_gltf
-from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
-from scoup.scene import Camera
 from support import examples
 
 
@@ -143,6 +140,34 @@ def test_translations_of_nodes_add_up(tmp_path: Path, parts: dict[str, Any], shi
     assert same_gaussians(found, replace(gaussians, means=moved.float()))
 
 
+@pytest.mark.parametrize(
+    "frame", [WorldFrame(0.25), WorldFrame(2.0, (0.1, -0.9, 0.2)), WorldFrame(up=(0, 1, 0))]
+)
+def test_gltf_is_written_upright_and_in_metres(tmp_path: Path, frame: WorldFrame) -> None:
+    gaussians = replace(some_gaussians(9, 1), world=frame)
+    save_gaussians(gaussians, tmp_path / "a.gltf")
+    found = load_gaussians(tmp_path / "a.gltf")
+    assert torch.equal(found.means, gaussians.means)
+    assert found.world.metres_per_unit == pytest.approx(frame.metres_per_unit)
+    np.testing.assert_allclose(heights(found), heights(gaussians), rtol=1e-6)
+
+
+def test_a_node_of_gltf_is_the_frame(tmp_path: Path) -> None:
+    """Three metres per unit, a quarter turn about z, and a translation: seen in the axes of the Gaussians."""
+    gaussians = some_gaussians(9, 1)
+    root, binary = foreign(columns_of(turned(gaussians, "z")))
+    turn = [0.0, 0.0, 0.5**0.5, 0.5**0.5]
+    root["nodes"] = [
+        {"children": [1], "scale": [3, 3, 3]},
+        {"mesh": 0, "rotation": turn, "translation": [0, 2, 0]},
+    ]
+    found = load_gaussians(packed(tmp_path / "a.glb", root, binary))
+    assert found.world.metres_per_unit == pytest.approx(3)
+    assert found.world.up == pytest.approx((-1, 0, 0), abs=1e-9), "x of the file, left, points up"
+    moved = (found.means - gaussians.means).numpy()
+    np.testing.assert_allclose(moved, np.tile([-2, 0, 0], (9, 1)), atol=1e-6)
+
+
 def test_files_beside_and_below(tmp_path):
     gaussians, path = some_gaussians(4, 1), tmp_path / "a.gltf"
     root, binary = foreign(columns_of(gaussians))
@@ -166,28 +191,17 @@ TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, 
 
 @pytest.mark.parametrize("axis", TURNS)
 def test_a_half_turn_is_the_rotation(axis: Axis) -> None:
-    gaussians = some_gaussians(9, 3)
-    rotation = np.diag(TURNS[axis]).astype(np.float64)
-    found = turned(gaussians, axis)
-    np.testing.assert_array_equal(found.means, gaussians.means.numpy() @ rotation)
-    linear = torch.from_numpy(rotation)
-    torch.testing.assert_close(covariances(found), linear @ covariances(gaussians) @ linear)
-    np.testing.assert_allclose(found.sh, rotated_sh(gaussians.sh.numpy(), rotation), atol=1e-6)
-    assert same_gaussians(turned(found, axis), gaussians)
-
-
-def test_rotations_of_harmonics_form_a_group() -> None:
-    sh, rotation = some_gaussians(4, 3).sh.numpy(), Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
-    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, rotation), rotation.T), sh, atol=2e-6)
-
-
-@pytest.mark.parametrize("axis", TURNS)
-def test_colours_of_degree_4_turn_along(axis: Axis) -> None:
-    gaussians, camera = some_gaussians(9, 4), some_cameras(1)[0]
+    gaussians, camera = replace(some_gaussians(9, 4), world=PLACE), some_cameras(1)[0]
     turn = torch.diag(torch.tensor([*TURNS[axis], 1.0], dtype=torch.float64))
-    along = Camera("a", camera.viewmat @ turn, camera.K, camera.width, camera.height)
-    colors = view_colors(turned(gaussians, axis), along)
+    linear, found = turn[:3, :3], turned(gaussians, axis)
+    assert torch.equal(found.means.double(), gaussians.means.double() @ linear)
+    torch.testing.assert_close(covariances(found), linear @ covariances(gaussians) @ linear)
+    colors = view_colors(found, replace(camera, viewmat=camera.viewmat @ turn))
     torch.testing.assert_close(colors, view_colors(gaussians, camera), rtol=0, atol=2e-5)
+    np.testing.assert_allclose(heights(found), heights(gaussians), rtol=1e-5)
+    again = turned(found, axis)
+    assert same_gaussians(again, gaussians)
+    assert again.world == PLACE
 
 
 @pytest.mark.parametrize("name", ["", "_2"])

@@ -170,17 +170,13 @@ def test_undistorted_image_straightens(tmp_path):
     assert ((image[..., 0] - 2 * positions[..., 0]).abs()[inside] < 2).all()
 
 
-def claiming(path: Path, width: int, height: int) -> Path:
-    """A PNG of so many pixels in its header, and none in its data."""
+def test_no_memory_for_pixels_that_cannot_be_there(tmp_path: Path) -> None:
+    """A PNG of many pixels in its header, and none in its data."""
+    path = tmp_path / "a.png"
     save_png(torch.zeros(8, 8, 3, dtype=torch.uint8), path)
     whole = path.read_bytes()
-    header = struct.pack(">II", width, height) + PNG.split(whole)[0][8:]
+    header = struct.pack(">II", 12_000, 12_000) + PNG.split(whole)[0][8:]
     path.write_bytes(PNG.join(whole, [header, b"", b""]))
-    return path
-
-
-def test_no_memory_for_pixels_that_cannot_be_there(tmp_path: Path) -> None:
-    path = claiming(tmp_path / "a.png", 12_000, 12_000)
     assert image_size(path) == (12_000, 12_000)
     for read in (lambda: load_image(camera_of(image_path=path)), lambda: read_mask(path, 0)):
         with refuses(FileFormatError):

@@ -1,4 +1,4 @@
-"""PLY: layout, activation, rows kept as they are, and large files; rows of compressed PLY and of .splat."""
+"""PLY: layout, activation, rows kept as they are, and large files; compressed PLY, .splat, labelled points."""
 
 from __future__ import annotations
 
@@ -16,9 +16,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from splat_damages import record, stored_as_they_are
 
-from io_samples import ply_file, raw_columns, same_gaussians, save_compressed_ply, save_spz, some_gaussians
+from io_samples import (
+    POINT_HEADER,
+    ply_file,
+    raw_columns,
+    same_gaussians,
+    save_compressed_ply,
+    save_spz,
+    some_gaussians,
+)
 from messages import refuses, warns
-from scoup.base import FileFormatError, MissingFileError, ScoupWarning, WriteError
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning, WriteError
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import ply, ply_rows
 from scoup.io.splats.activation import (
@@ -30,6 +38,7 @@ from scoup.io.splats.activation import (
 from scoup.io.splats.ply import PlyTable, read_ply, write_ply
 from scoup.io.splats.splat import read_splat
 from scoup.scene import SH_C0, Gaussians
+from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
 from support import random_gaussians
 
 RAW = st.floats(width=32, allow_nan=False)
@@ -40,13 +49,6 @@ def test_every_raw_scale_and_opacity_survives(raw):
     scales, opacities = scales_from_logs(raw), opacities_from_logits(raw)
     assert np.array_equal(scales_from_logs(logs_from_scales(scales)), scales)
     assert np.array_equal(opacities_from_logits(logits_from_opacities(opacities)), opacities)
-
-
-def test_opacity_one_and_zero(tmp_path):
-    path = tmp_path / "a.ply"
-    write_ply(replace(some_gaussians(2), opacities=torch.tensor([1.0, 0.0])), path)
-    assert PlyTable.read(path).rows["opacity"].tolist() == [np.inf, -np.inf]
-    assert read_ply(path).opacities.tolist() == [1.0, 0.0]
 
 
 def test_activation_and_layout(tmp_path):
@@ -212,10 +214,12 @@ def test_empty_tables_and_flat_gaussians(tmp_path):
 
 
 def test_table_from_memory_has_the_inria_layout():
-    names = PlyTable.of(some_gaussians(2, degree=3)).names
+    table = PlyTable.of(replace(some_gaussians(2, degree=3), opacities=torch.tensor([1.0, 0.0])))
+    names = table.names
     assert len(names) == 62
     assert names[:10] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0")
     assert " ".join(names[-8:]) == "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    assert table.rows["opacity"].tolist() == [np.inf, -np.inf]
 
 
 def test_a_folder_is_no_file(tmp_path):
@@ -350,3 +354,28 @@ def test_gaussians_that_are_not_plain(tmp_path: Path, name: str) -> None:
     changed_columns(tmp_path / "a.ply", "", **more, **{name: np.zeros(5, np.float32)})
     with warns(ScoupWarning):
         load_gaussians(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ["binary_little_endian", "ascii"])
+def test_a_mesh_as_scannet_writes_it(tmp_path: Path, encoding: str) -> None:
+    kinds = [*((name, "<f4") for name in "xyz"), *((name, "u1") for name in "rgba"), ("label", "<u2")]
+    rows = np.zeros(2, dtype=kinds)
+    rows["x"], rows["label"] = [1.5, -2], [40, 5]
+    body = rows.tobytes() + bytes([3]) + np.array([0, 1, 0], "<i4").tobytes()
+    if encoding == "ascii":
+        body = b"1.5 0 0 0 0 0 0 40\n-2 0 0 0 0 0 0 5\n3 0 1 0\n"
+    (tmp_path / "a.ply").write_bytes(POINT_HEADER.format(encoding=encoding, count=2).encode() + body)
+    points = read_labelled_ply(tmp_path / "a.ply")
+    assert points.positions.tolist() == [[1.5, 0, 0], [-2, 0, 0]]
+    assert points.labels.tolist() == [40, 5]
+    assert points.labels.dtype == torch.int64
+
+
+def test_labelled_points_that_are_written_are_read(tmp_path: Path) -> None:
+    points = LabelledPoints(torch.rand(5, 3, generator=torch.Generator().manual_seed(0)), torch.arange(5) * 9)
+    write_labelled_ply(points, tmp_path / "a.ply")
+    found = read_labelled_ply(tmp_path / "a.ply")
+    assert found.positions.equal(points.positions)
+    assert found.labels.equal(points.labels)
+    with pytest.raises(OutputExistsError):
+        write_labelled_ply(points, tmp_path / "a.ply")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 
 import numpy as np
 import pytest
 import torch
 
-from children import finished
 from io_samples import camera_difference, same_gaussians
 from scoup.io import (
     PlyTable,
@@ -21,7 +21,7 @@ from scoup.io import (
     save_gaussians,
 )
 from scoup.io.cameras.inria import read_cfg_args
-from scoup_lab.evaluate.studies.matches import tracked_points
+from scoup.scene import LEVELS, sanity_problems
 
 pytestmark = pytest.mark.data
 
@@ -37,11 +37,13 @@ def test_guitar(data_folder):
     unpacked = load_gaussians(data_folder / "guitar" / "guitar.compressed.ply")
     for name in ("means", "scales", "opacities", "sh", "quats"):
         torch.testing.assert_close(getattr(unpacked, name), getattr(gaussians, name), rtol=1e-6, atol=1e-6)
+    assert sanity_problems(unpacked) == []
 
 
 @pytest.mark.parametrize("name", ["guitar/guitar.ply", "inria_ply/point_cloud.ply"])
 def test_real_files_survive_writing(data_folder, tmp_path, name):
     gaussians = load_gaussians(data_folder / name)
+    assert sanity_problems(gaussians) == []
     save_gaussians(gaussians, tmp_path / "again.ply")
     again = load_gaussians(tmp_path / "again.ply")
     assert same_gaussians(gaussians, again)
@@ -50,57 +52,54 @@ def test_real_files_survive_writing(data_folder, tmp_path, name):
     assert (tmp_path / "table.ply").read_bytes() == (data_folder / name).read_bytes()
 
 
-def test_kitchen_cameras_agree(data_folder):
+def test_kitchen(data_folder):
+    """That its axes and units fit the cameras, tests/test_kitchen.py tells by a render."""
     inria = load_cameras(data_folder / "kitchen" / "cameras.json")
     nerfstudio = load_cameras(data_folder / "kitchen" / "transforms.json")
     assert len(inria) == 24
     assert camera_difference(inria, nerfstudio) < 1e-9
     assert load_image(inria[0]).shape == (720, 960, 3)
-
-
-def test_kitchen_splat(data_folder):
     gaussians = load_gaussians(data_folder / "kitchen" / "scene")
     assert len(gaussians) == 124_495
-    # Axes and units fit: most of the splat lies before some camera.
-    camera = load_cameras(data_folder / "kitchen")[0]
-    depth = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    assert (depth > 0).float().mean() > 0.5
+    assert sanity_problems(gaussians) == []
 
 
-def test_desk_cameras_agree(data_folder):
-    colmap = load_cameras(data_folder / "desk")
-    inria = load_cameras(data_folder / "desk" / "cameras.json")
+def test_kitchen_features(data_folder, tmp_path, monkeypatch):
+    """Of four of its views."""
+    kitchen, part = data_folder / "kitchen", tmp_path / "part"
+    (part / "features").mkdir(parents=True)
+    (part / "regions").symlink_to(kitchen / "regions")
+    sources = {}
+    for path in sorted(kitchen.glob("features/frame_*.npz"))[:4]:
+        (part / "features" / path.name).symlink_to(path)
+        sources[f"{path.stem}.jpg"] = np.load(path)
+    script = kitchen / "make_langsplat_features.py"
+    monkeypatch.setattr(sys, "argv", [str(script), str(part), "--out", str(tmp_path / "out")])
+    runpy.run_path(str(script))
+    regions = load_regions(tmp_path / "out", load_cameras(kitchen).select(list(sources)))
+    assert regions.view_names == tuple(sources)
+    for name, source in sources.items():
+        for level in LEVELS:
+            item = regions.load(name, level)
+            expected = torch.from_numpy(source[level].astype(np.float32))
+            torch.testing.assert_close(item.embeddings, expected, atol=2e-3, rtol=0)
+            assert item.labels.shape == (720, 960)
+
+
+def test_desk(data_folder):
+    """Every point was seen in two images or more, and projects into them."""
+    desk = data_folder / "desk"
+    colmap, inria = load_cameras(desk), load_cameras(desk / "cameras.json")
     assert len(colmap) == 29
     assert camera_difference(colmap, inria) < 1e-9
     assert (colmap[0].width, colmap[0].height) == (953, 535)
-    assert len(read_points(data_folder / "desk" / "sparse" / "0")[0]) == 7562
-    assert read_cfg_args(data_folder / "desk" / "cfg_args")["sh_degree"] == 3
-
-
-def test_kitchen_features(data_folder, tmp_path):
-    script = data_folder / "kitchen" / "make_langsplat_features.py"
-    command = [sys.executable, script, data_folder / "kitchen", "--out", tmp_path]
-    finished(command, check=True)
-    cameras = load_cameras(data_folder / "kitchen")
-    regions = load_regions(tmp_path, cameras)
-    assert regions.view_names == cameras.names
-    totals = [len(regions.embeddings(level)[0]) for level in regions.levels]
-    assert totals == [2204, 1112, 786]
-    item = regions.load("frame_00003.jpg", "m")
-    source = np.load(data_folder / "kitchen" / "features" / "frame_00003.npz")["m"].astype(np.float32)
-    torch.testing.assert_close(item.embeddings, torch.from_numpy(source), atol=2e-3, rtol=0)
-    assert item.labels.shape == (720, 960)
-
-
-def test_desk_tracks(data_folder):
-    """Every point was seen in two images or more, and projects into them."""
-    folder = data_folder / "desk" / "sparse" / "0"
-    positions, tracks = read_tracks(folder)
+    assert read_cfg_args(desk / "cfg_args")["sh_degree"] == 3
+    positions, tracks = read_tracks(desk / "sparse" / "0")
     assert len(positions) == 7562
-    np.testing.assert_array_equal(positions, read_points(folder)[0])
+    np.testing.assert_array_equal(positions, read_points(desk / "sparse" / "0")[0])
     assert min(len(track) for track in tracks) >= 2
-    matches = tracked_points(folder, load_cameras(data_folder / "desk"))
-    assert matches is not None
-    assert matches.source == "COLMAP tracks"
-    seen = sum(len(point) for point in matches.points)
+    seen = 0
+    for camera in colmap:
+        rows = [row for row, names in enumerate(tracks) if camera.name in names]
+        seen += int(camera.shows(torch.from_numpy(positions[rows])).sum())
     assert seen > 0.99 * sum(len(set(track)) for track in tracks)

@@ -38,13 +38,12 @@ from scoup.base import (
     ScoupWarning,
     UnknownNameError,
 )
-from scoup.io import convert_regions, load_regions
+from scoup.io import RegionManifest, ViewRegions, convert_regions, load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.langsplat import level_blocks
-from scoup.io.regions.manifest import RegionManifest, write_manifest
+from scoup.io.regions.manifest import write_manifest
 from scoup.io.regions.store import read_view
-from scoup.io.regions.views import ViewRegions
 from scoup.scene import LEVELS, Cameras
 
 
@@ -103,12 +102,6 @@ def test_labels_of_every_type_at_every_size(tmp_path, dtype, distortion):
         assert torch.equal(again, labels)
         for item, rows in zip(maps, embeddings, strict=True):
             assert torch.equal(item.embeddings, rows)
-
-
-def test_embeddings_that_are_objects(tmp_path):
-    save_npy(tmp_path, "view_00", planes_of([0], [1], [2], [3]), np.array([{"a": 1}] * 4))
-    with pytest.raises(FileFormatError, match="plain numbers"):
-        load_regions(tmp_path, some_cameras(1))
 
 
 def test_labels_alone_do_not_read_embeddings(tmp_path):
@@ -202,17 +195,6 @@ def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> 
         assert (view.name, view.width, view.height, view.counts) == ("a.png", width, height, {"s": rows})
         assert (view.labels(("s",))[0] == labels).all()
         assert view.embeddings("s").dtype == np.float16
-
-
-def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:
-    cameras = some_cameras(3)
-    save_compact(tmp_path, cameras)
-    (tmp_path / "view_01.regions").unlink()
-    with warns(ScoupWarning):
-        assert load_regions(tmp_path, cameras).view_names == ("view_00.png", "view_02.png")
-    write_manifest(tmp_path, replace(MANIFEST_OF_TESTS, settings={"other": 1}), overwrite=True)
-    with refuses(MissingFileError):
-        load_regions(tmp_path, cameras)
 
 
 def test_every_flipped_bit_and_every_cut_is_noticed(path: Path) -> None:

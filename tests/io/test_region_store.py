@@ -16,11 +16,10 @@ from cli_support import snapshot
 from io_samples import save_compact, save_langsplat, some_cameras, some_regions, stored_view
 from messages import refuses
 from scoup.base import MissingFileError, OutputExistsError
-from scoup.io import load_regions, save_regions
-from scoup.io.regions.convert import convert_regions
-from scoup.io.regions.manifest import MANIFEST, RegionManifest
-from scoup.io.regions.store import Layout, RegionStore, read_view
-from scoup.io.regions.views import ViewRegions, match_stems
+from scoup.io import RegionManifest, RegionStore, ViewRegions, convert_regions, load_regions, save_regions
+from scoup.io.regions.manifest import MANIFEST
+from scoup.io.regions.store import Layout, read_view
+from scoup.io.regions.views import match_stems
 from scoup.scene import LEVELS, Cameras, RegionMap, Regions, resize_labels
 
 
@@ -116,8 +115,11 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
         (tmp_path / MANIFEST).unlink()
     assert RegionStore.open(tmp_path).layout == layout
     assert load_regions(tmp_path, cameras).view_names == cameras.names
-    with refuses():
-        RegionStore.create(tmp_path, manifest_of(), overwrite=True)
+    before = snapshot(tmp_path)
+    for overwrite in (False, True):
+        with refuses():
+            RegionStore.create(tmp_path, manifest_of(), overwrite=overwrite)
+    assert snapshot(tmp_path) == before
 
 
 def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

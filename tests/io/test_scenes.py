@@ -6,10 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from io_samples import (
+    TURNED,
     camera_difference,
     same_gaussians,
     save_checkpoint,
@@ -26,6 +28,7 @@ from scoup.io import (
     load_cameras,
     load_gaussians,
     load_image,
+    read_similarity,
     save_gaussians,
     splat_source,
     write_transforms,
@@ -251,3 +254,13 @@ def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
     with refuses(MissingFileError):
         load_cameras(tmp_path)
     assert len(load_cameras(tmp_path / "transforms_test.json")) == 2
+
+
+@pytest.mark.parametrize(
+    "text", [json.dumps(TURNED.tolist()), "\n\n".join(" ".join(map(str, row)) for row in TURNED), "\n".join(
+        ", ".join(map(str, row)) for row in TURNED)]
+)  # fmt: skip
+def test_similarities_of_text_and_json(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    assert np.array_equal(read_similarity(path), TURNED)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import some_gaussians
+from io_samples import heights, some_gaussians
 from messages import refuses
-from scoup.base import ScoupError, WriteError
+from scoup.base import ScoupError, WorldFrame, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned
@@ -69,6 +69,17 @@ def test_values_keep_their_bits_in_a_stage_with_y_up(tmp_path: Path, suffix: str
     assert (high > attribute(prim, "positions").max(0)).all()
     save_gaussians(given, tmp_path / f"b{suffix}", keep_axes=True)
     np.testing.assert_array_equal(attribute(read(tmp_path / f"b{suffix}"), "positions"), given.means.numpy())
+
+
+def test_a_stage_is_upright_and_says_its_metres(tmp_path: Path) -> None:
+    given = replace(some_gaussians(9, 1), world=WorldFrame(0.25, (0.1, -0.9, 0.2)))
+    save_gaussians(given, tmp_path / "a.usda")
+    prim = read(tmp_path / "a.usda")
+    assert UsdGeom.GetStageMetersPerUnit(prim.GetStage()) == 0.25
+    matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0))
+    upwards = attribute(prim, "positions").astype(np.float64) @ matrix[:3, 1]
+    np.testing.assert_allclose(upwards * 0.25, heights(given), rtol=1e-5)
+    assert np.linalg.det(matrix) == pytest.approx(1)
 
 
 def test_a_package_begins_at_byte_64_and_has_no_time_of_day(tmp_path: Path) -> None:
