@@ -12,15 +12,11 @@ import numpy as np
 import pytest
 import torch
 from coders import Coder, clip_like, native_coder, problem
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
 from messages import refuses
 from scoup.coding import native, reference
 from scoup.coding.backends import RowCodes
-from scoup.coding.least_squares import nonnegative_least_squares
-from support import examples
 
 
 def dense(coded: RowCodes, n_atoms: int) -> Tensor:
@@ -90,25 +86,6 @@ def test_weights_are_the_best_non_negative_ones_on_a_given_support(coder: Coder)
         assert float(coded.cosines[row]) == pytest.approx(float(best), abs=1e-5)
 
 
-@settings(max_examples=examples(60))
-@given(st.integers(0, 10**6), st.integers(1, 7), st.integers(2, 8))
-def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    atoms = torch.randn(20, k, dim, generator=generator, dtype=torch.float64)
-    rows = torch.randn(20, 1, dim, generator=generator, dtype=torch.float64)
-    within, toward = atoms @ atoms.mT, (atoms @ rows.mT)[..., 0]
-    valid = torch.rand(20, k, generator=generator) < 0.8
-    weights = nonnegative_least_squares(toward, within, valid)
-    assert bool((weights >= 0).all())
-    assert not bool(weights[~valid].any())
-    pull = toward - (within @ weights[..., None])[..., 0]
-    assert float((weights * pull).abs().max()) < 1e-8
-    if k <= dim:  # more atoms than dimensions depend on each other, and some are left out
-        at_zero = pull[valid & (weights == 0)]
-        independent = torch.linalg.svdvals(within).amin() > 1e-2
-        assert not independent or not len(at_zero) or float(at_zero.max()) < 1e-5
-
-
 def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: Any) -> RowCodes:
     """Rounding may turn a choice between equals, and then the codes differ; hardly ever, and hardly."""
     ours, theirs = (coder(similarities, gram, *more) for coder in (native_coder(core), reference.code))
@@ -124,7 +101,7 @@ def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: An
 
 @pytest.mark.parametrize(
     ("count", "n_atoms", "k", "dim"),
-    [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (500, 64, 4, 64), (200, 64, 16, 64), (20, 1024, 16, 64)],
+    [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (300, 40, 4, 32), (200, 64, 16, 64), (20, 1024, 16, 64)],
 )
 @pytest.mark.parametrize("swap_passes", [0, 1, 2])
 def test_compiled_and_torch_agree(
@@ -132,17 +109,11 @@ def test_compiled_and_torch_agree(
 ) -> None:
     _, _, similarities, gram = problem(count, n_atoms, dim, seed=3)
     assert_agree(core, similarities, gram, k, swap_passes)
-
-
-@pytest.mark.parametrize("swap_passes", [1, 3])
-@pytest.mark.parametrize(("n_atoms", "k"), [(20, 3), (40, 4), (60, 9)])
-def test_compiled_and_torch_agree_where_nearly_every_atom_is_swapped(
-    core: ModuleType, n_atoms: int, k: int, swap_passes: int
-) -> None:
-    _, _, similarities, gram = problem(300, n_atoms)
-    start = torch.rand(300, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
+    start = torch.rand(count, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
+    start = torch.nn.functional.pad(start, (0, k - start.shape[1]), value=-1)
     ours = assert_agree(core, similarities, gram, k, swap_passes, start)
-    assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
+    if swap_passes and n_atoms > 5 * k:  # nearly every atom is swapped
+        assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
 
 
 def test_copies_and_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:

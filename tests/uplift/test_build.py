@@ -313,19 +313,13 @@ def test_presets():
             build_settings(**wrong)
 
 
-def test_cameras_that_see_nothing_or_almost_nothing(scene):
+def test_cameras_that_see_nothing(scene):
     gaussians, cameras, regions = scene
     away = dataclasses.replace(gaussians, means=gaussians.means - 100)
     with refuses():
         build(away, cameras, regions, settings=QUICK)
     with refuses():
         build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
-    many = random_gaussians(400, 3)
-    many.means[1:] -= 100
-    many.means[0] = torch.tensor([0.0, 0.0, 3.0])
-    many.opacities[0] = 0.9
-    with warns(ScoupWarning):
-        build(many, cameras, regions, settings=QUICK)
 
 
 def test_regions_that_cannot_be_coded_are_refused(scene):
