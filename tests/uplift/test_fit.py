@@ -77,7 +77,6 @@ def test_a_scene_and_its_own_photographs_fit(shown: dict[str, float], tmp_path: 
     assert fit.compared.all()
     assert float(fit.own.min()) > 0.8
     assert not fit.unlike
-    check_fit(gaussians, cameras)  # no warning: it would be an error here
 
 
 def test_what_is_refused(tmp_path: Path):
@@ -87,7 +86,6 @@ def test_what_is_refused(tmp_path: Path):
     turned = replace(gaussians, means=gaussians.means[:, [1, 2, 0]])
     shuffled = with_photographs_of(cameras, [*cameras[5:], *cameras[:5]])
     for splat, views in ((other, cameras), (turned, cameras), (gaussians, shuffled)):
-        assert measure_fit(splat, views).verdict is Verdict.HOPELESS
         with refuses_to_fit(r"a\.ply: does not fit the cameras: .*median correlation.*check_fit=False"):
             check_fit(splat, views, splat="a.ply")
 
