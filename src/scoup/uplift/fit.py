@@ -213,12 +213,10 @@ def check_fit(
         warnings.warn(problem, ScoupWarning, stacklevel=3)
 
 
-def measure_fit(
-    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria", backend: str | None = None
-) -> Fit:
+def measure_fit(gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria") -> Fit:
     """Render some of the cameras small, and compare the renders with those photographs that can be read; the near plane
     is that of the scene."""
-    return _measured(gaussians, cameras, scene_preset(gaussians, cameras, raster_preset, backend), backend)
+    return _measured(gaussians, cameras, scene_preset(gaussians, cameras, raster_preset), None)
 
 
 def _measured(
