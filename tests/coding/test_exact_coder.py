@@ -75,11 +75,14 @@ def test_weights_are_the_best_non_negative_ones_on_a_given_support(coder: Coder)
     # Unlike greedy supports, random ones often have negative least-squares weights.
     _, _, similarities, gram = problem(400, 9, dim=12)
     support = torch.rand(400, 9, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :5]
+    support[1::2, 2] = -1  # a slot that is not used
     coded = coder(similarities, gram, 5, 0, support)
     assert_valid(coded, similarities, gram, 5)
-    assert float((coded.support >= 0).double().mean()) < 0.9, "no weight was at its bound: proves little"
-    pull = (similarities.double() - dense(coded, 9) @ gram.double()).gather(1, support)
-    assert float(pull.max()) < 1e-5  # the condition of Karush, Kuhn and Tucker for atoms at zero
+    assert float((coded.support >= 0).double().mean()) < 0.8, "no weight was at its bound: proves little"
+    pull = (similarities.double() - dense(coded, 9) @ gram.double()).gather(1, support.clamp(min=0))
+    assert (
+        float(pull[support >= 0].max()) < 1e-5
+    )  # the condition of Karush, Kuhn and Tucker for atoms at zero
     for row in range(0, 400, 40):
         chosen = support[row]
         best = best_of_all_supports(similarities[row : row + 1, chosen], gram[chosen][:, chosen], 5)
@@ -177,7 +180,7 @@ def test_a_row_is_coded_alike_alone_and_among_others(core: ModuleType) -> None:
         assert all(one[0].tobytes() == many[row].tobytes() for one, many in zip(alone, together, strict=True))
 
 
-@pytest.mark.parametrize(("count", "dim", "n_others"), [(1, 1, 1), (100, 37, 3), (53, 70, 33), (13, 5, 64)])
+@pytest.mark.parametrize(("count", "dim", "n_others"), [(1, 1, 1), (5000, 37, 3), (53, 70, 33), (13, 5, 64)])
 def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, n_others: int) -> None:
     random = np.random.default_rng(0)
     rows = random.standard_normal((count, dim), np.float32)
@@ -190,8 +193,8 @@ def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, 
     ours, theirs = (
         each.code_moments(first, RowCodes(*codes), codes[2], n_others) for each in (native, reference)
     )
-    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-4)
-    np.testing.assert_allclose(ours[1], theirs[1], atol=1e-4)
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=2e-6, atol=1e-4)
+    np.testing.assert_allclose(ours[1], theirs[1], rtol=2e-6, atol=1e-4)
     half = random.standard_normal((n_others, n_others))
     matrix, right = half @ half.T + np.eye(n_others), random.standard_normal((n_others, dim))
     np.testing.assert_allclose(core.solve_positive_definite(matrix, right), np.linalg.solve(matrix, right))

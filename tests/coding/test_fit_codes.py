@@ -90,14 +90,6 @@ def test_refusals(change: dict) -> None:
         fit_codes(**{"embeddings": random_rows(5), "solver": "adam", "epochs": 1, **change})
 
 
-def test_encode_with_one_atom_a_row_is_the_nearest_atom() -> None:
-    rows, atoms = random_rows(50), random_rows(9, seed=2)
-    codes = encode(rows, atoms, 1)
-    nearest = (rows @ torch.nn.functional.normalize(atoms, dim=1).T).argmax(1)
-    assert codes.indices[:, 0].long().equal(nearest)
-    assert codes.weights.tolist() == [[1.0]] * 50
-
-
 def test_encode_recovers_codes_and_improves_on_the_learned_ones() -> None:
     atoms = torch.linalg.qr(random_rows(16)).Q
     truth = SparseCodes.from_dense(torch.rand(30, 16, generator=torch.Generator().manual_seed(0)), 3)
