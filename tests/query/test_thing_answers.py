@@ -200,18 +200,6 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
                 assert float(fits[number, query]) == pytest.approx(expected, abs=1e-3)
 
 
-def test_things_share_gaussians(asked: Asked) -> None:
-    known = thing_index(asked.field, asked.wall.texts)
-    assert known is not None
-    own = torch.stack([asked.things.members(torch.tensor([thing])) for thing in range(len(asked.things))])
-    expected = own.float() @ own.T.float()
-    every = torch.arange(len(expected))
-    assert known.shared(every, every >= 0, len(every)).equal(expected)
-    pairs = [(one, other, float(expected[one, other])) for one, other in expected.nonzero().tolist()]
-    assert known.shares.pairs() == pairs
-    assert known.counts.equal(expected.diag())
-
-
 def test_a_field_compares_its_things_with_words_once(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     field, texts = asked.field, asked.wall.texts
     first, few = thing_index(field, texts), thing_index(field, replace(texts, everyday=texts.everyday[:3]))

@@ -6,7 +6,7 @@ import gc
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -41,8 +41,13 @@ masks = st.builds(
 )
 
 
+SPECKS = torch.zeros(20, 30, dtype=torch.bool)
+SPECKS[5:15, 5:15] = SPECKS[1, 20:22] = SPECKS[18, 3] = True  # a hundred pixels, two and one
+
+
 @settings(max_examples=examples(60))
 @given(masks)
+@example(SPECKS)
 def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
     parts = flooded(mask)
     kept, largest = main_parts(mask)

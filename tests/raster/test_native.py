@@ -123,7 +123,7 @@ def test_combinations(levels, width, height, regions, edge, dtype, threads, seed
 )
 def test_codes_and_cosines(scene, preset, levels, n_atoms, k, halves, longs, seed):
     gaussians, camera = scene
-    if camera.width * camera.height * levels * n_atoms > 4_000_000:
+    if camera.width * camera.height * levels * n_atoms > 1_000_000:
         levels = 1
     indices, weights, *vectors = random_codes(len(gaussians), levels, k, n_atoms, seed, repeated=True)
     codes = indices.long() if longs else indices, weights.half() if halves else weights, *vectors
@@ -246,7 +246,7 @@ def test_memory_of_views_is_given_back():
     def project():
         return raster.project(raster.prepare_gaussians(gaussians, "native"), make_camera(640, 480), "inria")
 
-    gaussians = random_gaussians(600_000, seed=1)
+    gaussians = random_gaussians(6000, seed=1).select(torch.arange(600_000) % 6000)
     project()  # 38 MB of projected Gaussians, kept for the next view: malloc returns blocks above 32 MB at once
     before = _resident_bytes()
     with required_core() as core:

@@ -43,9 +43,8 @@ def built(folder: Path, size: float) -> LanguageField:
         scoup.load_gaussians(folder / "point_cloud.ply"), list(scoup.load_cameras(folder)), size
     )
     regions = scoup.load_regions(folder, Cameras(cameras))
-    return scoup.build(
-        gaussians, Cameras(cameras), regions, sources=scoup.FieldSources(words=folder / "text.npz")
-    )
+    sources = scoup.FieldSources(words=folder / "text.npz")
+    return scoup.build(gaussians, Cameras(cameras), regions, BuildSettings(n_atoms=16), sources=sources)
 
 
 @pytest.fixture(scope="module")
