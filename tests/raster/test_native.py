@@ -282,7 +282,8 @@ def test_every_instruction_set_agrees_with_the_reference(instruction_set, number
     values = torch.randn(count, 11, generator=torch.Generator().manual_seed(5))
     assert_channels_agree(views, scene, preset, values)
     labels = labels_at(scene, preset, LEVELS, REGIONS, 0)
-    assert_same_sums(*(raster.region_sums(view, labels) for view in views))
+    found, expected = (raster.region_sums(view, labels) for view in views)
+    assert_same_sums(found, expected)
     indices, weights, *vectors = random_codes(count, LEVELS, 5, 48, number)
     codes = indices, weights.half() if number < 2 else weights, *vectors
     assert_codes_agree(views, sure_pixels(*scene, preset), codes)
