@@ -7,7 +7,7 @@ import torch
 from coders import clip_like
 from torch import Tensor
 
-from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, START_ITERATIONS, loss_and_gradients, solve_adam
+from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, START_ITERATIONS, solve_adam
 from scoup.coding.backends import coding_backend
 from scoup.coding.kmeans import spherical_kmeans
 
@@ -19,24 +19,6 @@ def plain_loss(rows: Tensor, atoms: Tensor, logits: Tensor, k: int) -> Tensor:
     weights = torch.zeros_like(soft).scatter(1, indices, values)
     weights = weights / weights.sum(1, keepdim=True)
     return (1 - torch.nn.functional.cosine_similarity(weights @ atoms, rows, dim=1)).mean()
-
-
-def test_loss_and_gradients_are_those_of_autograd(backend: str) -> None:
-    rows = clip_like(5000, 24)  # more than a block of the backends
-    atoms = (2 * clip_like(9, 24, seed=1)).requires_grad_()
-    logits = torch.randn(5000, 9, generator=torch.Generator().manual_seed(0)).requires_grad_()
-    expected = plain_loss(rows.double(), atoms.double(), logits.double(), 3)
-    expected.backward()
-    values, support = logits.detach().topk(3, dim=1)
-    weights = values.softmax(1)
-    loss, of_logits, of_atoms = loss_and_gradients(
-        rows, atoms.detach(), support, weights, coding_backend(backend)
-    )
-    assert loss == pytest.approx(float(expected.detach()), abs=1e-6)
-    assert logits.grad is not None
-    torch.testing.assert_close(of_atoms, atoms.grad, atol=1e-7, rtol=1e-4)
-    dense = torch.zeros(5000, 9).scatter(1, support, of_logits)
-    torch.testing.assert_close(dense, logits.grad, atol=1e-9, rtol=1e-3)
 
 
 def test_the_papers_settings_follow_plain_autograd(backend: str) -> None:

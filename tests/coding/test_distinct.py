@@ -28,9 +28,10 @@ def classes(n_rows: int, count: int, seed: int = 1) -> Tensor:
 
 def test_ten_values_among_500_rows_are_coded_without_loss(backend: str) -> None:
     of_row = classes(500, 10)
+    norms = torch.rand(500, 1, generator=torch.Generator().manual_seed(0)) + 0.1
     seen: list[tuple[int, int]] = []
     book = fit_codes(
-        values(10)[of_row],
+        norms * values(10)[of_row],
         128,
         4,
         backend=backend,
@@ -64,18 +65,6 @@ def test_near_copies_are_one_value_and_others_are_not() -> None:
     none = distinct_rows(torch.zeros(0, 4), 3)
     assert none is not None
     assert (list(none[0].shape), len(none[1])) == ([0, 4], 0)
-
-
-def test_norms_do_not_matter_and_zero_rows_get_empty_codes() -> None:
-    of_row = classes(100, 6)
-    rows = values(6)[of_row] * torch.rand(100, 1, generator=torch.Generator().manual_seed(0)).add(0.1)
-    rows[::7] = 0
-    book = fit_codes(rows, 16, 4)
-    coded = rows.any(1)
-    assert book.codes.weights.sum(1).equal(coded.float())
-    assert (book.codes.weights[coded, 0] == 1).all()
-    assert book.report.regions == int(coded.sum())
-    assert book.report.loss == pytest.approx(0, abs=1e-6)
 
 
 def test_sizes() -> None:

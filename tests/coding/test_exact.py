@@ -26,12 +26,12 @@ REFERENCE = coding_backend("reference")
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
 
 
-def test_ends_below_adam(backend: str) -> None:
+def test_ends_below_adam() -> None:
     rows = clip_like(300, 32, objects=40)
     adam = solve_adam(rows, 16, 3, epochs=500)
     adam_loss = report_on(rows, adam.atoms, adam.codes).loss
     efforts = exact.EFFORTS.items()
-    losses = {name: solve_exact(rows, 16, 3, 0, each, backend=backend).losses[-1] for name, each in efforts}
+    losses = {name: solve_exact(rows, 16, 3, 0, each).losses[-1] for name, each in efforts}
     assert losses["best"] < losses["fast"] < adam_loss
 
 
@@ -135,8 +135,8 @@ def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
     solutions, books = [], []
     for threads in (1, 2, 3):
         with threads_of_torch(threads):
-            solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2), backend="native"))
-            books.append(fit_codes(rows, 20, 4, solver="exact", backend="native"))
+            solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=30, passes=2), backend="native"))
+            books.append(fit_codes(rows, 20, 4, effort="fast", backend="native"))
     assert len({replace(book.report, seconds=0.0) for book in books}) == 1
     assert len({book.atoms.numpy().tobytes() for book in books}) == 1
     for solution in solutions[1:]:
@@ -171,7 +171,7 @@ print(len(os.listdir("/proc/self/task")) - before)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
-def test_steps_start_no_threads_of_torch() -> None:
+def test_steps_start_no_threads_of_torch(preloaded_python: str) -> None:
     """Beside other work those wait for each other at every operation (but every 25th step may)."""
-    ended = finished([sys.executable, "-c", STEPS], check=True)
+    ended = finished([preloaded_python, "-c", STEPS], check=True)
     assert ended.stdout.strip() == "0"

@@ -12,15 +12,11 @@ import numpy as np
 import pytest
 import torch
 from coders import Coder, clip_like, native_coder, problem
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
 from messages import refuses
 from scoup.coding import native, reference
 from scoup.coding.backends import RowCodes
-from scoup.coding.least_squares import nonnegative_least_squares
-from support import examples
 
 
 def dense(coded: RowCodes, n_atoms: int) -> Tensor:
@@ -79,34 +75,18 @@ def test_weights_are_the_best_non_negative_ones_on_a_given_support(coder: Coder)
     # Unlike greedy supports, random ones often have negative least-squares weights.
     _, _, similarities, gram = problem(400, 9, dim=12)
     support = torch.rand(400, 9, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :5]
+    support[1::2, 2] = -1  # a slot that is not used
     coded = coder(similarities, gram, 5, 0, support)
     assert_valid(coded, similarities, gram, 5)
-    assert float((coded.support >= 0).double().mean()) < 0.9, "no weight was at its bound: proves little"
-    pull = (similarities.double() - dense(coded, 9) @ gram.double()).gather(1, support)
-    assert float(pull.max()) < 1e-5  # the condition of Karush, Kuhn and Tucker for atoms at zero
+    assert float((coded.support >= 0).double().mean()) < 0.8, "no weight was at its bound: proves little"
+    pull = (similarities.double() - dense(coded, 9) @ gram.double()).gather(1, support.clamp(min=0))
+    assert (
+        float(pull[support >= 0].max()) < 1e-5
+    )  # the condition of Karush, Kuhn and Tucker for atoms at zero
     for row in range(0, 400, 40):
         chosen = support[row]
         best = best_of_all_supports(similarities[row : row + 1, chosen], gram[chosen][:, chosen], 5)
         assert float(coded.cosines[row]) == pytest.approx(float(best), abs=1e-5)
-
-
-@settings(max_examples=examples(60))
-@given(st.integers(0, 10**6), st.integers(1, 7), st.integers(2, 8))
-def test_non_negative_least_squares_meets_its_conditions(seed: int, k: int, dim: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    atoms = torch.randn(20, k, dim, generator=generator, dtype=torch.float64)
-    rows = torch.randn(20, 1, dim, generator=generator, dtype=torch.float64)
-    within, toward = atoms @ atoms.mT, (atoms @ rows.mT)[..., 0]
-    valid = torch.rand(20, k, generator=generator) < 0.8
-    weights = nonnegative_least_squares(toward, within, valid)
-    assert bool((weights >= 0).all())
-    assert not bool(weights[~valid].any())
-    pull = toward - (within @ weights[..., None])[..., 0]
-    assert float((weights * pull).abs().max()) < 1e-8
-    if k <= dim:  # more atoms than dimensions depend on each other, and some are left out
-        at_zero = pull[valid & (weights == 0)]
-        independent = torch.linalg.svdvals(within).amin() > 1e-2
-        assert not independent or not len(at_zero) or float(at_zero.max()) < 1e-5
 
 
 def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: Any) -> RowCodes:
@@ -124,7 +104,7 @@ def assert_agree(core: ModuleType, similarities: Tensor, gram: Tensor, *more: An
 
 @pytest.mark.parametrize(
     ("count", "n_atoms", "k", "dim"),
-    [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (500, 64, 4, 64), (200, 64, 16, 64), (20, 1024, 16, 64)],
+    [(50, 1, 1, 8), (40, 3, 8, 8), (500, 33, 1, 32), (300, 40, 4, 32), (200, 64, 16, 64), (20, 1024, 16, 64)],
 )
 @pytest.mark.parametrize("swap_passes", [0, 1, 2])
 def test_compiled_and_torch_agree(
@@ -132,17 +112,11 @@ def test_compiled_and_torch_agree(
 ) -> None:
     _, _, similarities, gram = problem(count, n_atoms, dim, seed=3)
     assert_agree(core, similarities, gram, k, swap_passes)
-
-
-@pytest.mark.parametrize("swap_passes", [1, 3])
-@pytest.mark.parametrize(("n_atoms", "k"), [(20, 3), (40, 4), (60, 9)])
-def test_compiled_and_torch_agree_where_nearly_every_atom_is_swapped(
-    core: ModuleType, n_atoms: int, k: int, swap_passes: int
-) -> None:
-    _, _, similarities, gram = problem(300, n_atoms)
-    start = torch.rand(300, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
+    start = torch.rand(count, n_atoms, generator=torch.Generator().manual_seed(0)).argsort(1)[:, :k]
+    start = torch.nn.functional.pad(start, (0, k - start.shape[1]), value=-1)
     ours = assert_agree(core, similarities, gram, k, swap_passes, start)
-    assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
+    if swap_passes and n_atoms > 5 * k:  # nearly every atom is swapped
+        assert float((ours.support[:, :, None] == start[:, None, :]).double().mean()) < 0.5 / k
 
 
 def test_copies_and_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
@@ -206,7 +180,7 @@ def test_a_row_is_coded_alike_alone_and_among_others(core: ModuleType) -> None:
         assert all(one[0].tobytes() == many[row].tobytes() for one, many in zip(alone, together, strict=True))
 
 
-@pytest.mark.parametrize(("count", "dim", "n_others"), [(1, 1, 1), (100, 37, 3), (53, 70, 33), (13, 5, 64)])
+@pytest.mark.parametrize(("count", "dim", "n_others"), [(1, 1, 1), (5000, 37, 3), (53, 70, 33), (13, 5, 64)])
 def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, n_others: int) -> None:
     random = np.random.default_rng(0)
     rows = random.standard_normal((count, dim), np.float32)
@@ -219,8 +193,8 @@ def test_products_moments_and_solutions(core: ModuleType, count: int, dim: int, 
     ours, theirs = (
         each.code_moments(first, RowCodes(*codes), codes[2], n_others) for each in (native, reference)
     )
-    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-4)
-    np.testing.assert_allclose(ours[1], theirs[1], atol=1e-4)
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=2e-6, atol=1e-4)
+    np.testing.assert_allclose(ours[1], theirs[1], rtol=2e-6, atol=1e-4)
     half = random.standard_normal((n_others, n_others))
     matrix, right = half @ half.T + np.eye(n_others), random.standard_normal((n_others, dim))
     np.testing.assert_allclose(core.solve_positive_definite(matrix, right), np.linalg.solve(matrix, right))

@@ -55,12 +55,6 @@ class Similarity:
     scale: float
     shift: Tensor
 
-    def camera(self, camera: Camera) -> Camera:
-        viewmat = camera.viewmat.clone()
-        viewmat[:3, :3] = camera.viewmat[:3, :3] @ self.turn.T
-        viewmat[:3, 3] = self.scale * camera.viewmat[:3, 3] - viewmat[:3, :3] @ self.shift
-        return replace(camera, viewmat=viewmat)
-
 
 def planted_room(
     boxes: Sequence[Box] = ROOM,
@@ -77,7 +71,7 @@ def planted_room(
     size = len(means) // len(every)
     if moved is not None:
         means = moved.scale * means @ moved.turn.T + moved.shift
-        cameras = [moved.camera(camera) for camera in cameras]
+        cameras = [each.moved(moved.turn, moved.shift / moved.scale, moved.scale) for each in cameras]
     gaussians = gaussians_at(means, 0.01 * (moved.scale if moved else 1.0))
     common = random_vectors(1, DIM, seed=5)
     words = [*names, ABSENT, *(f"word {number}" for number in range(30)), *CANONICAL_PHRASES]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import partial
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import example, given, settings
@@ -127,23 +128,20 @@ def literal_relevancy(query: float, canonical: list[float], temperature: float) 
 
 
 @settings(max_examples=examples(50))
-@given(st.lists(st.floats(-1, 1, width=32), min_size=2, max_size=6), st.floats(0.1, 30))
-def test_relevancy_is_the_minimum_over_canonical_phrases(cosines: list[float], temperature: float) -> None:
-    values = torch.tensor(cosines)[None, :, None]
-    result = relevancy(values[:, :1], values[:, 1:], temperature)
-    assert result.shape == (1, 1, 1)
-    assert float(result) == pytest.approx(literal_relevancy(cosines[0], cosines[1:], temperature), abs=1e-5)
+@given(st.sampled_from([(1,), (3,), (2, 3)]), st.integers(1, 5), st.floats(0.1, 30), st.integers(0, 2**31))
+def test_relevancy_is_the_minimum_over_canonical_phrases(trailing, phrases, temperature, seed) -> None:
+    """Of the same level and place."""
+    generator = torch.Generator().manual_seed(seed)
+    cosines, canonical = (2 * torch.rand(3, n, *trailing, generator=generator) - 1 for n in (2, phrases))
+    found = relevancy(cosines, canonical, temperature)
+    assert found.shape == cosines.shape
+    for level, query, *place in np.ndindex(*found.shape):
+        phrases_there = canonical[(level, slice(None), *place)].tolist()
+        expected = literal_relevancy(float(cosines[level, query][tuple(place)]), phrases_there, temperature)
+        assert float(found[level, query][tuple(place)]) == pytest.approx(expected, abs=1e-5)
 
 
-def test_relevancy_keeps_the_trailing_shape_and_pairs_levels_and_pixels() -> None:
-    generator = torch.Generator().manual_seed(0)
-    cosines = torch.rand(3, 2, 4, 5, generator=generator)
-    canonical = torch.rand(3, 4, 4, 5, generator=generator)
-    result = relevancy(cosines, canonical)
-    assert result.shape == (3, 2, 4, 5)
-    expected = literal_relevancy(float(cosines[2, 1, 3, 0]), canonical[2, :, 3, 0].tolist(), 10.0)
-    assert float(result[2, 1, 3, 0]) == pytest.approx(expected, abs=1e-6)
-    assert relevancy(cosines.flatten(2), canonical.flatten(2)).view(3, 2, 4, 5).equal(result)
+def test_relevancy_of_a_draw_and_of_a_large_difference() -> None:
     ones = torch.ones(1, 1, 2)
     assert relevancy(0 * ones, 0 * ones).tolist() == [[[0.5, 0.5]]]  # a draw
     assert relevancy(ones, -ones, temperature=1e4).tolist() == [[[1.0, 1.0]]]

@@ -88,21 +88,6 @@ def test_select_equals_loops(count, share, threshold, level, seed) -> None:
     assert found.fit == (pytest.approx(float(mean)) if any(mask) else -torch.inf)
 
 
-def test_the_level_by_its_peak_with_a_threshold_and_by_its_mean_without() -> None:
-    relevancy = torch.full((3, 20), 0.3)
-    relevancy[0, :8] = 0.8  # a few higher, most of them lower
-    relevancy[0, 0] = 0.9
-    relevancy[1, :8] = 0.85
-    coded = torch.tensor([True, True, False])[:, None].expand(3, 20)
-    by_peak, by_mean = (select_by_relevancy(relevancy, coded, threshold=each) for each in (0.6, None))
-    assert (by_peak.level, by_peak.threshold, by_mean.level) == (0, 0.6, 1)
-    assert by_peak.fit == pytest.approx((0.9 + 7 * 0.8) / 8)
-    assert (by_mean.fit, by_mean.threshold) == (pytest.approx(0.85), pytest.approx(0.64))
-    assert by_mean.mask.equal(torch.arange(20) < 8)
-    # Levels alike: the first answers.
-    assert select_by_relevancy(relevancy[[1, 1]], coded[:2]).level == 0
-
-
 @pytest.mark.parametrize("threshold", [None, 0.0, 0.6])
 def test_nothing_is_selected_where_nothing_stands_out(threshold: float | None) -> None:
     for count, is_coded, level in ((5, True, 1), (5, False, 0), (0, True, 0)):

@@ -151,67 +151,6 @@ def test_many_scenes_are_judged_as_each_alone(some: list, at_a_time: int, level:
         ]
 
 
-NINE, HALVES, TENS = [9] * 4, [[9, 9, 9, 9], [18, 9, 9]], [10, 10, 10, 10]
-LITTLE = torch.tensor([9.0, 0.01, 9.0, 9.0])
-LEVELED, SUPPORTED = [[2.0, 0.0], [2.4, 0.5]], [2.0, 1.0, 0.0, 0.0]
-THREE = [[2.0, 0.0, 0.0, 0.0], [0.0, 1.9, 0.0], [0.0, 1.8, 0.0]]
-
-
-@pytest.mark.parametrize(("fits", "sizes", "options", "chosen"), [
-    # A set with a gap behind it answers.
-    ([[0.0, 3.0, 0.5, 0.1]], [NINE], {}, [1]),
-    ([[3.0, 0.0, 3.1, 0.2]], [NINE], {}, [2, 0]),
-    # At most eight: of nine there is no gap behind any set, and the first comes first.
-    ([[3.0] * 8 + [0.0]], [[9] * 9], {}, [0, 1, 2, 3, 4, 5, 6, 7]),
-    ([[3.0] * 9 + [0.0]], [[9] * 10], {}, [0]),
-    # A gap is as good as a larger one, if both are large.
-    ([[9.0, 5.9, -9.0]], [[9] * 3], {}, [0]),
-    ([[]], [[]], {}, None),
-    # The mean of a set is lower the more it takes: the second gap is larger, but too far below the best.
-    ([[5.0, 4.0, 2.6, 2.6]], [NINE], {}, [0]),
-    ([[5.0, 4.5, 2.6, 2.6]], [NINE], {}, [0, 1]),
-    # By what is seen of things, the second of which is next to nothing.
-    ([[5.0, 4.0, 2.6, 2.6]], [NINE], {"mass": LITTLE}, [0, 1]),
-    # Rivals elsewhere count against a set, but not its parts and wholes.
-    ([[0.9, 0.0, 2.6, 1.6], [2.0, 0.0, 0.0]], HALVES, {}, [2]),  # a smaller gap, but it fits better
-    ([[2.6, 1.6, 0.9, 0.0], [2.0, 0.0, 0.0]], HALVES, {}, [4]),  # what fits better is a part of it
-    ([[2.0, 0.0, 0.0, 0.0, 0.0], [2.4, 1.4]], [[*NINE, 36], [36, 36]], {}, [0]),  # a part of what fits better
-    # Behind all things of a level stands one like any other.
-    ([[1.5, 0.0, 0.0, 0.0], [2.0]], [NINE, [36]], {}, [4]),
-    ([[1.5, 0.0, 0.0, 0.0], [0.9]], [NINE, [36]], {}, [0]),
-    # The first thing fits best; two other levels have the second one, if the same Gaussians are theirs.
-    (THREE, [TENS, [10, 10, 20], [10, 10, 20]], {}, [5]),
-    (THREE, [TENS, [10, 10, 20], [15, 5, 20]], {}, [0]),  # half of them is not enough
-    (THREE, [TENS, [10, 10, 20], [14, 6, 20]], {}, [5]),
-    # What has most of its level's Gaussians answers only with what fits best, or if nothing else may.
-    ([[3.0, 1.0, 0.5, 0.4], [2.9, 0.0]], [NINE, [36, 2]], {}, [0]),
-    ([[3.0, 1.0, 0.5, 0.4], [3.1, 0.0]], [NINE, [36, 2]], {}, [4]),
-    ([[3.0, 1.0, 0.5, 0.4], [2.9]], [NINE, [36]], {"level": 1}, [4]),
-    ([[3.0, 2.9, 2.8, 0.0]], [NINE], {}, [0, 1, 2]),
-    ([[3.0, 1.0, 0.5, 0.4], [2.9, 2.9, 0.0]], [NINE, [18, 18, 2]], {}, [0]),
-    # Levels that may not answer support those that may.
-    ([SUPPORTED, [1.5, 0.0]], [TENS, [20, 20]], {"level": 0}, [0, 1]),
-    ([SUPPORTED, [0.0, 1.5]], [TENS, [20, 20]], {"level": 0}, [0]),
-    (LEVELED, [[9, 9], [9, 9]], {"level": 0}, [0]),
-    (LEVELED, [[9, 9], [9, 9]], {"level": 1}, [2]),
-    ([[2.0, 0.0], []], [[9, 9], []], {"level": 1}, None),
-])  # fmt: skip
-def test_the_choice_by_hand(fits, sizes, options, chosen) -> None:
-    """Things of each level, whose Gaussians of these numbers lie side by side."""
-    owners, levels, first = torch.full((max(map(sum, sizes)), len(fits)), NO_THING), [], 0
-    for level, counts in enumerate(sizes):
-        own = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts, dtype=torch.int64)) + first
-        owners[: len(own), level] = own
-        levels += [level] * len(counts)
-        first += len(counts)
-    level = options.get("level")
-    things = planted_table(owners, torch.tensor(levels), options.get("mass"))
-    every = torch.tensor([fit for row in fits for fit in row])[:, None]
-    ((found,),) = choose_things(compared(things), every, level)
-    check_choice(things, every, level)
-    assert (None if found is None else [*found.things]) == chosen
-
-
 # How well things fit.
 
 
@@ -259,18 +198,6 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
             for query, text in enumerate(texts.queries.double()):
                 expected = (float(text @ vector) - constants.HUB_SHARE * best) / things.spread - doubt
                 assert float(fits[number, query]) == pytest.approx(expected, abs=1e-3)
-
-
-def test_things_share_gaussians(asked: Asked) -> None:
-    known = thing_index(asked.field, asked.wall.texts)
-    assert known is not None
-    own = torch.stack([asked.things.members(torch.tensor([thing])) for thing in range(len(asked.things))])
-    expected = own.float() @ own.T.float()
-    every = torch.arange(len(expected))
-    assert known.shared(every, every >= 0, len(every)).equal(expected)
-    pairs = [(one, other, float(expected[one, other])) for one, other in expected.nonzero().tolist()]
-    assert known.shares.pairs() == pairs
-    assert known.counts.equal(expected.diag())
 
 
 def test_a_field_compares_its_things_with_words_once(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,17 +6,15 @@ import gc
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
 from query.conftest import Queried
-from query.planted_room import Box, planted_room
 from scoup import raster
 from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.view_answer import main_parts, mask_box, most_relevant_pixel, render_depth
-from scoup.scene import Camera
 from support import examples
 
 
@@ -37,14 +35,19 @@ def flooded(mask: Tensor) -> list[set[tuple[int, int]]]:
 
 masks = st.builds(
     lambda shape, share, seed: torch.rand(shape, generator=torch.Generator().manual_seed(seed)) < share / 10,
-    st.tuples(st.integers(1, 16), st.integers(1, 16)),
+    st.tuples(st.integers(0, 16), st.integers(0, 16)),
     st.integers(0, 10),
     st.integers(0, 2**31),
 )
 
 
+SPECKS = torch.zeros(20, 30, dtype=torch.bool)
+SPECKS[5:15, 5:15] = SPECKS[1, 20:22] = SPECKS[18, 3] = True  # a hundred pixels, two and one
+
+
 @settings(max_examples=examples(60))
 @given(masks)
+@example(SPECKS)
 def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
     parts = flooded(mask)
     kept, largest = main_parts(mask)
@@ -58,18 +61,6 @@ def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
     assert {tuple(each) for each in kept.nonzero().tolist()} == expected
     rows, columns = zip(*expected, strict=True)
     assert mask_box(kept) == (min(columns), min(rows), max(columns) + 1, max(rows) + 1)
-
-
-def test_specks_are_no_main_parts() -> None:
-    mask = torch.zeros(30, 40, dtype=torch.bool)
-    mask[10:20, 10:20] = mask[20, 20] = True  # the last touches at a corner
-    mask[2, 35] = mask[28, 1:3] = True  # of 101 pixels, a fiftieth is 2.02
-    kept, largest = main_parts(mask)
-    assert mask_box(kept) == mask_box(largest) == (10, 10, 21, 21)
-    mask[2, 35:38] = True
-    kept, largest = main_parts(mask)
-    assert (mask_box(kept), mask_box(largest)) == ((10, 2, 38, 21), (10, 10, 21, 21))
-    assert mask_box(torch.zeros(0, 4, dtype=torch.bool)) is None
 
 
 @settings(max_examples=examples(60))
@@ -122,22 +113,7 @@ def test_the_position_is_that_of_the_thing_seen_most(queried: Queried) -> None:
         points = PointSets.of_one_thing(field.gaussians.means[rows].double(), weights[rows])
         assert seen.position is not None
         assert torch.allclose(seen.position, torch.from_numpy(points.medians()[0]), atol=1e-4)
-    assert any(seen.position is not None for seen in view.answer(queried.texts))
-
-
-def test_of_two_things_the_position_is_that_of_one() -> None:
-    boxes = [
-        Box("mug", (0, 0, 0), (1, 1, 1)),
-        Box("mug", (4, 0, 0), (1, 1, 1)),
-        Box("ball", (8, 0, 0), (1, 1, 1)),
-    ]
-    field = planted_room(boxes)
-    camera = Camera.look_at((2.0, 0.5, 12.0), (2.0, 0.5, 0.5), "a.png", 120, 60, 90.0, up=(0.0, 1.0, 0.0))
-    seen = field.at(camera).answer("mug")
-    assert len(seen.answer.things) == 2
-    assert seen.position is not None
-    middles = [thing.position for thing in field.things("mug")]
-    assert min(float((seen.position - middle).norm()) for middle in middles) < 0.9
+    assert max(len(seen.answer.things) for seen in view.answer(queried.texts)) > 1
 
 
 def test_answers_know_their_position_after_the_projection_is_gone(queried: Queried) -> None:

@@ -39,7 +39,7 @@ pytestmark = needs_native
 PRESETS = st.sampled_from(["inria", "gsplat"])
 SEEDS = st.integers(0, 2**31)
 CHANNELS = (0, 1, 3, 8, 9, 17, 64, 130)
-SIZES = [(1, 1), (1, 37), (37, 1), (16, 16), (17, 17), (4097, 3), (8192, 2), (8192, 64)]  # width, height
+SIZES = [(1, 1), (1, 37), (37, 1), (16, 16), (17, 17), (4097, 3), (8192, 2), (8192, 17)]  # width, height
 
 
 @settings(max_examples=examples(60))
@@ -123,7 +123,7 @@ def test_combinations(levels, width, height, regions, edge, dtype, threads, seed
 )
 def test_codes_and_cosines(scene, preset, levels, n_atoms, k, halves, longs, seed):
     gaussians, camera = scene
-    if camera.width * camera.height * levels * n_atoms > 4_000_000:
+    if camera.width * camera.height * levels * n_atoms > 1_000_000:
         levels = 1
     indices, weights, *vectors = random_codes(len(gaussians), levels, k, n_atoms, seed, repeated=True)
     codes = indices.long() if longs else indices, weights.half() if halves else weights, *vectors
@@ -246,7 +246,7 @@ def test_memory_of_views_is_given_back():
     def project():
         return raster.project(raster.prepare_gaussians(gaussians, "native"), make_camera(640, 480), "inria")
 
-    gaussians = random_gaussians(600_000, seed=1)
+    gaussians = random_gaussians(6000, seed=1).select(torch.arange(600_000) % 6000)
     project()  # 38 MB of projected Gaussians, kept for the next view: malloc returns blocks above 32 MB at once
     before = _resident_bytes()
     with required_core() as core:
@@ -255,42 +255,38 @@ def test_memory_of_views_is_given_back():
     assert project().n_gaussians == 600_000  # and taken anew
 
 
-def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
+def everything(projection, count: int, labels) -> dict:
     """Every function's answer for a view of ``count`` Gaussians, from the same random inputs each time."""
     generator = torch.Generator().manual_seed(5)
     values = torch.randn(count, 11, generator=generator)
     indices = torch.randint(48, (count, LEVELS, 5), generator=generator, dtype=torch.uint8)
-    weights = torch.rand(count, LEVELS, 5, generator=generator).to(dtype)
-    codebook = torch.randn(LEVELS, 48, dim, generator=generator) + 0.3
-    queries = unit(torch.randn(6, dim, generator=generator))
+    weights = torch.rand(count, LEVELS, 5, generator=generator)
+    codebook = torch.randn(LEVELS, 48, 512, generator=generator) + 0.3
+    queries = unit(torch.randn(6, 512, generator=generator))
     image, alpha = raster.render_channels(projection, values)
     return {
         "channels": image,
         "alpha": alpha,
-        "codes": raster.render_codes(projection, indices, weights, 48).movedim(0, 2),
-        "cosines": raster.render_cosines(projection, indices, weights, codebook, queries).permute(2, 3, 0, 1),
+        "codes": raster.render_codes(projection, indices, weights, 48),
+        "cosines": raster.render_cosines(projection, indices, weights, codebook, queries),
         "regions": raster.region_sums(projection, labels),
     }
 
 
-@pytest.mark.parametrize("kind", HARD_KINDS)
-@pytest.mark.parametrize("preset", ["inria", "gsplat"])
-def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, preset):
+@pytest.mark.parametrize(("number", "kind"), [*enumerate(HARD_KINDS)])
+def test_every_instruction_set_agrees_with_the_reference(instruction_set, number, kind):
     with required_core() as core:
         assert core.current_isa() == instruction_set
-    gaussians, camera = hard_scene(kind, 11)
-    sure = sure_pixels(gaussians, camera, preset)
-    labels = random_labels(LEVELS, camera.height, camera.width, REGIONS, 0)
-    labels[:, ~sure] = -1
-    dtype = torch.float16 if kind in ("crowd", "needles") else torch.float32
-    native, reference = (
-        everything(v, len(gaussians), labels, 24, dtype) for v in both(gaussians, camera, preset)
-    )
-    assert_close(native["channels"], reference["channels"], 6.0, sure)
-    assert_close(native["alpha"], reference["alpha"], 1.0, sure)
-    assert_close(native["codes"], reference["codes"], 2.0, sure)
-    assert_close(native["cosines"], reference["cosines"], 5.0, sure)
-    assert_same_sums(native["regions"], reference["regions"])
+    preset, scene = ("inria", "gsplat")[number % 2], hard_scene(kind, 11)
+    count, views = len(scene[0]), both(*scene, preset)
+    values = torch.randn(count, 11, generator=torch.Generator().manual_seed(5))
+    assert_channels_agree(views, scene, preset, values)
+    labels = labels_at(scene, preset, LEVELS, REGIONS, 0)
+    found, expected = (raster.region_sums(view, labels) for view in views)
+    assert_same_sums(found, expected)
+    indices, weights, *vectors = random_codes(count, LEVELS, 5, 48, number)
+    codes = indices, weights.half() if number < 2 else weights, *vectors
+    assert_codes_agree(views, sure_pixels(*scene, preset), codes)
 
 
 def on_any_threads(gaussians: Gaussians, camera: Camera, function, *arguments) -> list:
@@ -311,7 +307,7 @@ def test_same_bytes_on_any_number_of_threads():
     gaussians.means[::3] = gaussians.means[:20_000]
     camera = make_camera(230, 190, 150.0, 2)
     labels = random_labels(LEVELS, 190, 230, REGIONS, 1)
-    found = on_any_threads(gaussians, camera, everything, len(gaussians), labels, 512)
+    found = on_any_threads(gaussians, camera, everything, len(gaussians), labels)
     assert found[0]["alpha"].max() > 0.99
     for answers in found[1:]:
         assert same_bytes(answers.pop("regions"), found[0]["regions"])

@@ -17,7 +17,7 @@ from scoup import raster
 from scoup.raster import native
 from scoup.raster.ordering import morton_order
 from scoup.scene import Camera, Gaussians
-from support import examples, make_camera, random_gaussians, random_labels
+from support import examples, random_gaussians, random_labels
 
 on_every_backend = pytest.mark.parametrize("backend", BACKENDS)
 COUNT = 30_000  # Gaussians of a town: four chunks
@@ -28,14 +28,22 @@ COUNT = 30_000  # Gaussians of a town: four chunks
 @given(scene=any_scenes())
 @example(hard_scene("equal depths", 4))  # the original rows decide
 def test_views_show_the_same(backend, scene):
-    """Behind the camera, huge, needles, not finite, opacities of 0 and infinity; empty scenes, images of one pixel."""
+    """Behind the camera, huge, needles, not finite, opacities of 0 and infinity; empty scenes, images of one pixel.
+    Region sums are in the new order."""
     gaussians, camera = scene
     prepared = raster.prepare_gaussians(gaussians, backend)
+    order = torch.arange(len(gaussians)) if prepared.order is None else prepared.order
+    plain, view = raster.project(gaussians, camera, backend=backend), raster.project(prepared, camera)
     values = torch.arange(3.0 * len(gaussians)).reshape(-1, 3)
-    moved = values if prepared.order is None else values[prepared.order]
-    expected = raster.render_channels(raster.project(gaussians, camera, backend=backend), values)
-    found = raster.render_channels(raster.project(prepared, camera), moved)
+    expected = raster.render_channels(plain, values)
+    found = raster.render_channels(view, values[order])
     assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
+    labels = random_labels(2, camera.height, camera.width, 5, 0)
+    sums = raster.region_sums(view, labels)
+    rows = order[sums.gaussian.long()]
+    moved = (rows * len(sums.table) + sums.combination).argsort()
+    restored = rows[moved].int(), sums.combination[moved], sums.weight[moved]
+    assert same_bytes(raster.ViewSums(*restored, sums.table), raster.region_sums(plain, labels))
 
 
 @on_every_backend
@@ -48,20 +56,6 @@ def test_rows_are_restored(backend, dtype):
     order = torch.arange(100) if scene.order is None else scene.order
     moved = rows.view(torch.int16)[order].view(dtype) if dtype == torch.uint16 else rows[order]
     assert torch.equal(raster.restored(moved, order).long(), rows.long())
-
-
-@on_every_backend
-def test_region_sums_are_in_the_new_order(backend):
-    gaussians, camera = random_gaussians(80, 3), make_camera()
-    labels = random_labels(2, 30, 40, 5, 0)
-    scene = raster.prepare_gaussians(gaussians, backend)
-    order = torch.arange(80) if scene.order is None else scene.order
-    expected = raster.region_sums(raster.project(gaussians, camera, backend=backend), labels)
-    found = raster.region_sums(raster.project(scene, camera), labels)
-    rows = order[found.gaussian.long()]
-    moved = (rows * len(found.table) + found.combination).argsort()
-    restored = rows[moved].int(), found.combination[moved], found.weight[moved]
-    assert same_bytes(raster.ViewSums(*restored, found.table), expected)
 
 
 def test_the_order_is_along_a_curve():

@@ -1,4 +1,4 @@
-"""What only the reference promises: tile size is a matter of speed; projection agrees with gsplat's own."""
+"""The reference's projection and colours against gsplat's own."""
 
 from __future__ import annotations
 
@@ -9,22 +9,10 @@ import torch
 
 from raster.real_scenes import load_camera, load_scene
 from scoup import raster
-from scoup.raster import reference
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
 from scoup.scene import Camera, Gaussians
 from support import make_camera, random_gaussians
-
-
-@pytest.mark.parametrize("tile", [4, 8, 32])
-def test_answer_does_not_depend_on_tile_size(tile):
-    gaussians = random_gaussians(400, 4, ("plain", "needle", "huge", "tiny"))
-    camera, preset = make_camera(75, 51, 60.0), raster_preset("inria")
-    values = torch.rand(400, 3)
-    expected, _ = reference.render_channels(reference.project(gaussians, camera, preset), values)
-    actual, _ = reference.render_channels(reference.project(gaussians, camera, preset, tile), values)
-    differing = (actual - expected).abs().amax(2) > 1e-4
-    assert differing.float().mean() < 2e-3  # a threshold flip at most here and there
 
 
 def _gsplat_projection(gaussians: Gaussians, camera: Camera, near: float):

@@ -62,7 +62,7 @@ def other_embeddings(regions: Regions) -> Regions:
     return changed_regions(regions, embedded)
 
 
-@pytest.mark.parametrize("at", [("region sums", 2), ("vote", 0), ("vote", 1), ("coding m", 0)])
+@pytest.mark.parametrize("at", [("region sums", 2), ("coding m", 0), ("vote", 1)])
 def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, whole, tmp_path, at, monkeypatch):
     gaussians, _, regions = scene
     path = tmp_path / "sums"
@@ -120,7 +120,7 @@ def test_a_damaged_view_is_made_again(scene, whole, tmp_path):
     assert snapshot(path) == before
 
 
-@pytest.mark.parametrize("parts", [1, 2, 3, 7])
+@pytest.mark.parametrize("parts", [3, 7])
 def test_parts_in_any_order_make_the_field_of_one_process(scene, whole, tmp_path, parts):
     """Also where there are more parts than views, and where a part is made twice."""
     for number in [*reversed(range(1, parts + 1)), 1]:
@@ -204,7 +204,7 @@ def test_a_codebook_of_other_regions_is_refused(scene, built):
 
 @pytest.mark.parametrize("change", [
     {"n_atoms": 5, "k": 2, "keep": 2, "seed": 4},
-    {"rounds": 1}, {"rounds": 3, "keep": 0}, {"solver": "adam", "epochs": 20}, "embeddings", "views",
+    {"rounds": 1}, {"rounds": 3, "keep": 0}, {"solver": "adam", "epochs": 5}, "embeddings", "views",
 ])  # fmt: skip
 def test_from_kept_sums_other_settings_embeddings_and_views_equal_a_whole_build(scene, tmp_path, change):
     gaussians, cameras, regions = scene
@@ -241,7 +241,7 @@ def test_sums_of_another_scene_are_refused(scene):
             build(splat, cameras, regions, settings=quick(**changes), sums=sums)
 
 
-@pytest.mark.parametrize(("scale", "factor"), [("auto", 23 / 41), (0.3, 0.3), (1.0, 1.0)])
+@pytest.mark.parametrize(("scale", "factor"), [("auto", 23 / 41), (0.3, 0.3)])
 def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, scale, factor):
     """Also of odd sizes; the field keeps the cameras it was given."""
     gaussians, cameras, regions = scene
@@ -313,19 +313,13 @@ def test_presets():
             build_settings(**wrong)
 
 
-def test_cameras_that_see_nothing_or_almost_nothing(scene):
+def test_cameras_that_see_nothing(scene):
     gaussians, cameras, regions = scene
     away = dataclasses.replace(gaussians, means=gaussians.means - 100)
     with refuses():
         build(away, cameras, regions, settings=QUICK)
     with refuses():
         build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
-    many = random_gaussians(400, 3)
-    many.means[1:] -= 100
-    many.means[0] = torch.tensor([0.0, 0.0, 3.0])
-    many.opacities[0] = 0.9
-    with warns(ScoupWarning):
-        build(many, cameras, regions, settings=QUICK)
 
 
 def test_regions_that_cannot_be_coded_are_refused(scene):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from literal_rules import overlap_of_boxes
 from query.planted_room import FRONT, planted_room
 from scoup.field import NameTable
 from scoup.scene import Detections
@@ -20,13 +21,6 @@ from scoup.uplift.naming import (
     things_in_view,
     votes_in_view,
 )
-
-
-def literal_iou(one: list[float], other: list[float]) -> float:
-    wide = max(0.0, min(one[2], other[2]) - max(one[0], other[0]))
-    high = max(0.0, min(one[3], other[3]) - max(one[1], other[1]))
-    areas = [(box[2] - box[0]) * (box[3] - box[1]) for box in (one, other)]
-    return wide * high / (sum(areas) - wide * high)
 
 
 def random_views(seed: int, count: int = 13) -> list[tuple[ThingsInView, Detections]]:
@@ -61,7 +55,7 @@ def test_votes_are_those_of_a_plain_reading(seed: int) -> None:
         for text, score, box in zip(*lists, strict=True):
             top[text] = max(top[text], score)
             for thing, other in enumerate(view.boxes.tolist()):
-                overlap = literal_iou(box, other)
+                overlap = overlap_of_boxes(box, other)
                 if view.masks[thing].any() and overlap >= NAMING_IOU:
                     best[text, thing] = max(best[text, thing], score * overlap)
         for key, value in best.items():

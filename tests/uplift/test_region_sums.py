@@ -77,23 +77,20 @@ def assert_same(one: RegionSums, other: RegionSums) -> None:
 def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
     """Against the blending weights of single pixels."""
     gaussians, cameras, regions = scene
-    for level, name in enumerate(regions.levels):
-        matrix = kept.matrix(level).toarray()
-        assert matrix.shape == (len(gaussians), len(regions.embeddings(name)[0]))
-        for camera in cameras:
-            labels, _ = regions.load_view(camera.name, camera.width, camera.height)
-            projection = reference.project(gaussians, camera, RASTER_PRESETS["inria"])
-            part = regions.embeddings(name)[1][camera.name]
-            for region in range(part.stop - part.start):
-                chosen = (labels[level] == region).float()
-                # What a Gaussian paints of a region is what a picture of it alone gains there.
-                weight = torch.zeros(len(gaussians))
-                for tile, ids, weights in reference.tile_weights(projection):
-                    tiled = reference.to_tiles(chosen, projection.bins, fill=0)[tile]
-                    weight[ids] += weights @ tiled
-                np.testing.assert_allclose(
-                    matrix[:, part.start + region], weight.numpy(), rtol=1e-3, atol=1e-4
-                )
+    matrices = [kept.matrix(level).toarray() for level in range(len(regions.levels))]
+    for camera in cameras:
+        labels, _ = regions.load_view(camera.name, camera.width, camera.height)
+        projection = reference.project(gaussians, camera, RASTER_PRESETS["inria"])
+        for level, matrix in enumerate(matrices):
+            rows, parts = regions.embeddings(regions.levels[level])
+            part = parts[camera.name]
+            assert matrix.shape == (len(gaussians), len(rows))
+            chosen = labels[level] == torch.arange(part.stop - part.start)[:, None, None]
+            tiled = reference.to_tiles(chosen.float(), projection.bins, fill=0)
+            painted = torch.zeros(len(gaussians), len(chosen))
+            for tile, ids, weights in reference.tile_weights(projection):
+                painted[ids] += weights @ tiled[tile].T
+            np.testing.assert_allclose(matrix[:, part], painted.numpy(), rtol=1e-3, atol=1e-4)
 
 
 def test_a_file_gives_back_what_it_was_given(scene, kept, path):

@@ -15,7 +15,6 @@ from scoup.field import NO_THING
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query import build
 from scoup.uplift.constants import KEPT
-from scoup.uplift.settings import BuildSettings
 from scoup.uplift.stored_sums import RegionSums
 from scoup.uplift.things import find_strays
 
@@ -112,7 +111,7 @@ def test_the_teddy_bear_of_a_table_lies_at_one_place(data_folder: Path) -> None:
         pytest.skip(f"no table-20 in {data_folder}")
     gaussians, cameras = load_gaussians(scene / "point_cloud.splat"), load_cameras(scene)
     regions = load_regions(scene / "language_features", cameras)
-    field = build(gaussians, cameras, regions, BuildSettings(check_fit=False))
+    field = build(gaussians, cameras, regions, SETTINGS)
     field = field.with_encoder(data_folder / "desk" / "desk_words.npz")
     bear = field.things(field.question("teddy bear", always=True))[0]
     away = (gaussians.means[bear.gaussians].double() - bear.position).norm(dim=1)

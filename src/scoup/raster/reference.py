@@ -44,10 +44,8 @@ class ReferenceProjection:
     backend = "reference"
 
 
-def project(
-    gaussians: Gaussians, camera: Camera, preset: RasterPreset, tile: int = TILE
-) -> ReferenceProjection:
-    """Project, bin and sort. ``tile`` changes the speed, never the answer beyond rounding."""
+def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> ReferenceProjection:
+    """Project, bin and sort."""
     visible = project_gaussians(gaussians, camera, preset)
     _, xy, yy = visible.covariances.unbind(1)
     # exp(-q/2) with q = (dx - slope dy)^2 / var(x | y) + dy^2 / yy: two squares instead of the conic's three
@@ -61,7 +59,7 @@ def project(
         ],
         1,
     )
-    bins = bin_to_tiles(visible, camera.width, camera.height, tile)
+    bins = bin_to_tiles(visible, camera.width, camera.height, TILE)
     return ReferenceProjection(len(gaussians), camera.width, camera.height, preset, visible, bins, ellipses)
 
 

@@ -214,14 +214,12 @@ def check_fit(
         warnings.warn(problem, ScoupWarning, stacklevel=3)
 
 
-def measure_fit(
-    gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria", backend: str | None = None
-) -> Fit:
+def measure_fit(gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria") -> Fit:
     """Render some of the cameras small, and compare the renders with those photographs that can be read; the near plane
     is that of the scene."""
-    prepared = raster.prepare_gaussians(gaussians, backend)
-    preset = scene_preset(gaussians, cameras, raster_preset, backend, prepared)
-    return _measured(gaussians, cameras, preset, backend, prepared)
+    prepared = raster.prepare_gaussians(gaussians)
+    preset = scene_preset(gaussians, cameras, raster_preset, prepared=prepared)
+    return _measured(gaussians, cameras, preset, None, prepared)
 
 
 def _measured(

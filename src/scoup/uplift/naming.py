@@ -37,11 +37,11 @@ class ThingsInView:
 
 
 def things_in_view(
-    gaussians: Gaussians, table: ThingTable, camera: Camera, raster_preset: str, backend: str | None = None
+    gaussians: Gaussians, table: ThingTable, camera: Camera, raster_preset: str
 ) -> ThingsInView:
     """Return the things as a camera sees them, on the CPU."""
     small = camera.scaled(min(1.0, constants.NAMING_SIDE / max(camera.width, camera.height)))
-    projection = raster.project(gaussians, small, raster_preset, backend)
+    projection = raster.project(gaussians, small, raster_preset)
     ones = torch.ones(len(gaussians), 1, device=gaussians.device)
     alpha = raster.render_values(projection, ones)[..., 0].cpu()
     masks = []
@@ -134,12 +134,11 @@ def name_things(
     views: Iterable[tuple[Camera, Detections]],
     texts: Sequence[str],
     raster_preset: str = "inria",
-    backend: str | None = None,
 ) -> NameTable:
     """Let detections in V >= 1 photographs, which count the texts as ``texts`` does, vote for the things of a scene.
     All texts were looked for in all of the photographs."""
     counted = [
-        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), hits, len(texts))
+        votes_in_view(things_in_view(gaussians, table, camera, raster_preset), hits, len(texts))
         for camera, hits in views
     ]
     return count_votes(texts, counted)
