@@ -36,9 +36,17 @@ def need_browser(page: bool = True) -> None:
 # Of a module, not of the session: as long as playwright runs, no other test of this process could run an event loop.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Headless Chromium."""
+    """Headless Chromium with one context, in which all pages of a site share a process and its compiled program.
+
+    An idle page of each site keeps that process alive. WebGL draws alone: the rest of a page is composed without it.
+    """
     need_browser(page=False)
-    with chromium() as opened:
+    with chromium("--process-per-site", "--disable-gpu-compositing") as opened:
+        context = opened.new_context()
+        for address in ("http://127.0.0.1/", Path(__file__).as_uri()):
+            page = context.new_page()
+            page.route("http:**", lambda route: route.fulfill(body=""))
+            page.goto(address)
         yield opened
 
 

@@ -197,7 +197,7 @@ def test_levels_clicks_and_files_are_those_of_the_library(visit: Visit, viewed: 
 
 def test_every_text_can_be_read(browser: Browser, live: str):
     states = []
-    with visiting(browser, live, (900, 1400), color_scheme="light") as visit:
+    with visiting(browser, live, (900, 1400)) as visit:
         page = visit.page
 
         def look() -> None:
