@@ -249,7 +249,7 @@ FRAME = """(address) => new Promise((done) => {
 
 
 def test_a_page_of_another_site_gets_nothing(browser: Browser, live: str, tmp_path: Path) -> None:
-    page = browser.new_page()
+    page = browser.contexts[0].new_page()
     handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

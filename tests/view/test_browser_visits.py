@@ -318,7 +318,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["file", "http"])
 def page(request: pytest.FixtureRequest, browser: Browser, folder: Path) -> Iterator[Page]:
-    page = browser.new_page()
+    page = browser.contexts[0].new_page()
     page.set_default_timeout(PATIENCE)
 
     def serve(route: Route) -> None:
@@ -347,19 +347,20 @@ def test_it_says_what_is_asked_and_selected_to_its_own_page_only(page: Page) -> 
     page.locator("#selected").filter(has_text="mug at ").wait_for()
     text.press("Escape")
     page.locator("#selected:empty").wait_for(state="attached")
-    # An exported page tells other sites nothing.
     inner = page.frames[1]
     page.evaluate("heard = []")
-    inner.goto("http://elsewhere.test/scene.scoup.html")
-    inner.locator("#loading").wait_for(state="hidden")
-    inner.evaluate("window.scoupViewer.ask(['kettle'])")
-    inner.evaluate("parent.postMessage('last', '*')")
-    page.wait_for_function("heard.includes('last')")
-    assert page.evaluate("heard") == ["last"]
+    if page.url.startswith("http:"):  # an exported page tells other sites nothing
+        inner.goto("http://elsewhere.test/scene.scoup.html")
+        inner.locator("#loading").wait_for(state="hidden")
+        inner.evaluate("window.scoupViewer.ask(['kettle'])")
+        inner.evaluate("parent.postMessage('last', '*')")
+        page.wait_for_function("heard.includes('last')")
+        assert page.evaluate("heard") == ["last"]
+    heard = page.evaluate("heard.length")
     # The element does not hear other windows and sites.
     page.evaluate("forged => window.postMessage(forged, '*')", FORGED)
     inner.goto("http://elsewhere.test/other.html")
-    page.wait_for_function("heard.length >= 4")
+    page.wait_for_function(f"heard.length >= {heard + 3}")
     assert asked.is_visible()
     page.evaluate("document.querySelector('scoup-view').removeAttribute('src')")
     assert page.locator("scoup-view iframe").get_attribute("src") == "about:blank"

@@ -31,7 +31,7 @@ EXPORT = (
 def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     """A page with the files of a folder that has a field."""
     saved_field(tmp_path)
-    visit = Visit(browser.new_page())
+    visit = Visit(browser.contexts[0].new_page())
 
     def serve(route: Route) -> None:
         name = route.request.url.split("?")[0].split("/", 3)[3]
