@@ -237,9 +237,9 @@ def test_on_a_telephone(browser: Browser, live: str, viewed: ViewedField, width:
 def test_what_is_copied_does_what_is_seen(
     browser: Browser, live: str, viewed: ViewedField, tmp_path: Path, monkeypatch
 ):
-    permissions = ["clipboard-read", "clipboard-write"]
-    with visiting(browser, live, permissions=permissions) as visit:
+    with visiting(browser, live) as visit:
         page = visit.page
+        page.context.grant_permissions(["clipboard-read", "clipboard-write"])
 
         def copied(button: str) -> str:
             page.evaluate("navigator.clipboard.writeText('')")
