@@ -28,10 +28,12 @@ from scoup.scene import SH_C0, Camera, Cameras, Gaussians, index_dtype
 from support import gaussians_at, things_of, unit
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
+    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route
 
     from scoup.view.viewed_field import ViewedField
     from scoup.view.viewer import Viewer
+else:  # where it is not installed, tests that name its types are skipped
+    Browser = Page = Route = Any
 
 DIM = 48
 THINGS = {  # name: place, colour

@@ -7,7 +7,6 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from browser_support import (
     ALIKE,
     DRAWS,
     THINGS,
+    Browser,
     Visit,
     coded,
     difference,
@@ -38,12 +38,6 @@ from scoup.view import parts
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from browser_support import (
     DRAWS,
     FILLERS,
     LEVELS,
+    Browser,
     Visit,
     both_pages,
     check_saved,
@@ -38,12 +38,6 @@ from view_samples import of_select
 from scoup import raster
 from scoup.view.viewed_field import ViewedField
 from support import altered
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("built_page")
 
 CLICKED = (0.25, 0.66, 1)
 """The colour of what is selected by a click."""

@@ -10,7 +10,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +19,9 @@ from browser_support import (
     ALIKE,
     FRONT,
     PATIENCE,
+    Browser,
+    Page,
+    Route,
     Visit,
     difference,
     field_of_instances,
@@ -41,12 +44,6 @@ from scoup.pictures import Picture
 from scoup.view.exact import PictureMode
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, Route
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
 def exact_picture(visit: Visit) -> Picture:
