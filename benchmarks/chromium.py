@@ -30,12 +30,12 @@ def program() -> str | None:
 
 
 @contextmanager
-def chromium() -> Iterator[Browser]:
-    """A browser without a window."""
+def chromium(*flags: str) -> Iterator[Browser]:
+    """A browser without a window; ``flags`` are added to those that all use."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program(), args=list(FLAGS))
+        browser = playwright.chromium.launch(executable_path=program(), args=[*FLAGS, *flags])
         try:
             yield browser
         finally:

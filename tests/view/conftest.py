@@ -6,46 +6,40 @@ import os
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from benchmarks.chromium import chromium, program
-from browser_support import Visit, opened, saved_field, visiting
+from browser_support import Browser, Visit, opened, saved_field, visiting
 
 from scoup.query import LanguageField
 from scoup.view.export import export_page
 from scoup.view.page import PAGE_FOLDER
 from scoup.view.viewed_field import ViewedField
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-
-def need_browser(page: bool = True) -> None:
-    """Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure."""
-    packages = ("playwright", "starlette", "uvicorn")
-    reasons = [f"{package} is not installed" for package in packages if find_spec(package) is None]
-    if program() is None:
-        reasons.append("there is no Chromium here (apt-get install chromium)")
-    if page and not (PAGE_FOLDER / "viewer.js").is_file():
-        reasons.append("the page is not built: python tools/build_viewer.py")
-    if reasons:
-        (pytest.fail if os.environ.get("SCOUP_TEST_BROWSER") == "required" else pytest.skip)(reasons[0])
-
 
 # Of a module, not of the session: as long as playwright runs, no other test of this process could run an event loop.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Headless Chromium."""
-    need_browser(page=False)
-    with chromium() as opened:
+    """Headless Chromium with one context, in which all pages of a site share a process and its compiled program.
+
+    An idle page of each site keeps that process alive. WebGL draws alone: the rest of a page is composed without it.
+    Skips with a reason where there is no browser; with SCOUP_TEST_BROWSER=required that is a failure.
+    """
+    packages = ("playwright", "starlette", "uvicorn")
+    reasons = [f"{package} is not installed" for package in packages if find_spec(package) is None]
+    if program() is None:
+        reasons.append("there is no Chromium here (apt-get install chromium)")
+    if not (PAGE_FOLDER / "viewer.js").is_file():
+        reasons.append("the page is not built: python tools/build_viewer.py")
+    if reasons:
+        (pytest.fail if os.environ.get("SCOUP_TEST_BROWSER") == "required" else pytest.skip)(reasons[0])
+    with chromium("--process-per-site", "--disable-gpu-compositing") as opened:
+        context = opened.new_context()
+        for address in ("http://127.0.0.1/", Path(__file__).as_uri()):
+            page = context.new_page()
+            page.route("http:**", lambda route: route.fulfill(body=""))
+            page.goto(address)
         yield opened
-
-
-@pytest.fixture
-def built_page() -> None:
-    """The page of this checkout; skips where it is not built."""
-    need_browser()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What the page draws: coarse scenes first and while the camera moves, cleaned selections, relevancy on the GPU."""
+"""What the page draws: coarse scenes and while the camera moves, cleaned selections, relevancy on the GPU, phrases."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from browser_support import (
     ALIKE,
     DRAWS,
     THINGS,
+    Browser,
     Visit,
     coded,
     difference,
@@ -27,6 +27,8 @@ from browser_support import (
     things_field,
     visiting,
 )
+from test_exported_phrases import check_alike, room
+from test_one_grammar import PHRASES
 from view_samples import selected_by_votes, unpacked
 
 from scoup.base import InputError
@@ -36,12 +38,6 @@ from scoup.view import parts
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
 @pytest.fixture
@@ -121,45 +117,38 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
         assert "400" in visit.problems.pop()
 
 
-@pytest.mark.parametrize("share", [0.3, 0.9])
-def test_a_page_that_was_cut_short_says_so(browser: Browser, tmp_path: Path, share: float) -> None:
-    file = tmp_path / "page.html"
+def test_a_page_that_was_cut_short_says_so(browser: Browser, tmp_path: Path) -> None:
+    file, page = tmp_path / "page.html", browser.contexts[0].new_page()
     export_page(ViewedField(things_field().with_encoder(table())), file)
-    os.truncate(file, int(share * file.read_bytes().index(b"<!--")))  # of all but the licences
-    page = browser.new_page()
-    page.goto(file.as_uri())
-    assert page.inner_text("body") == "this page is cut short; copy it again, or export it again"
+    length = file.read_bytes().index(b"<!--")  # of all but the licences
+    for share in (0.9, 0.3):
+        os.truncate(file, int(share * length))
+        page.goto(file.as_uri())
+        assert page.inner_text("body") == "this page is cut short; copy it again, or export it again"
     page.close()
 
 
 @pytest.mark.usefixtures("in_parts")
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("scene.js", "removed"),
-        ("words.js", "damaged"),
-        ("words.js", "of another export"),
-        ("part_1.js", "damaged"),
-        ("part_1.js", "of another export"),
-    ],
-)
-def test_files_that_do_not_belong_to_the_page_are_named(
-    browser: Browser, tmp_path: Path, name: str, change: str
-) -> None:
+def test_files_that_do_not_belong_to_the_page_are_named(browser: Browser, tmp_path: Path) -> None:
     field = things_field().with_encoder(table())
     for folder, words in (("page", None), ("other", ["mug"])):
         export_page(ViewedField(field, words), tmp_path / folder, split=True)
-    file = tmp_path / "page" / name
-    text = file.read_text()
-    middle = len(text) // 2
-    damaged = f"{text[:middle]}{'B' if text[middle] == 'A' else 'A'}{text[middle + 1 :]}"
-    file.write_text(damaged if change == "damaged" else (tmp_path / "other" / name).read_text())
-    if change == "removed":
-        file.unlink()
-    page = browser.new_page()
-    page.goto((tmp_path / "page" / "index.html").as_uri())
-    said = f"{name} is missing, damaged or of another export; reload the page, or export it again"
-    page.locator("#message, #loading-text", has_text=said).wait_for()
+    page = browser.contexts[0].new_page()
+    for name, change in (
+        ("scene.js", "removed"),
+        *itertools.product(("words.js", "part_1.js"), ("damaged", "of another export")),
+    ):
+        file = tmp_path / "page" / name
+        text = file.read_text()
+        middle = len(text) // 2
+        damaged = f"{text[:middle]}{'B' if text[middle] == 'A' else 'A'}{text[middle + 1 :]}"
+        file.write_text(damaged if change == "damaged" else (tmp_path / "other" / name).read_text())
+        if change == "removed":
+            file.unlink()
+        page.goto((tmp_path / "page" / "index.html").as_uri())
+        said = f"{name} is missing, damaged or of another export; reload the page, or export it again"
+        page.locator("#message, #loading-text", has_text=said).wait_for()
+        file.write_text(text)
     page.close()
 
 
@@ -185,14 +174,7 @@ def fly(visit: Visit, name: str) -> None:
 @pytest.mark.usefixtures("in_parts")
 def test_what_is_near_comes_first_and_is_shown_whole(browser: Browser, monkeypatch) -> None:
     """Of merged parts, as many as there is room for, and others where the camera goes."""
-    field, pictures = four_places(), {}
-    with served(browser, ViewedField(field.with_encoder(table()))) as visit:
-        visit.page.evaluate("window.scoupViewer.whole")
-        assert asked(visit, "/part/")[0] == "3-of-4"  # what is seen
-        for name in ("first.png", "last.png"):
-            fly(visit, name)
-            pictures[name] = visit.picture()
-    viewed = ViewedField(field.with_encoder(table()), most=300)
+    viewed = ViewedField(four_places().with_encoder(table()), most=300)
     merged = [len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4)]
     assert max(merged) <= 75
     break_parts(viewed, monkeypatch, lambda number, whole: whole and number == 1)
@@ -206,11 +188,12 @@ def test_what_is_near_comes_first_and_is_shown_whole(browser: Browser, monkeypat
             fly(visit, name)
             count = sum(merged) - merged[whole] + 200
             assert visit.state()["drawing"] == visit.state()["gaussians"] == count, name
-            if name in pictures:
-                assert difference(visit.picture(), pictures[name]) < ALIKE
+            if name in ("first.png", "last.png"):
+                assert difference(visit.picture(), viewed.picture(viewed.field.camera(name))) < ALIKE
             if name == "second.png":
                 said = visit.page.inner_text("#message")
                 assert said == "A part of the scene stays merged: scene.scoup: damaged"
+        assert asked(visit, "/part/")[0] == "3-of-4"  # what is seen
         assert asked(visit, "?whole") == [f"{number}-of-4?whole" for number in (3, 0, 3, 1, 0)]
         assert "400" in visit.problems.pop()
 
@@ -288,8 +271,7 @@ def test_slow_browsers_draw_less_while_the_camera_moves(browser: Browser, monkey
         assert visit.page.evaluate("window.draws")[-1] > 60
 
 
-@pytest.mark.parametrize(("k", "n_others"), [(4, 10), (6, 300)])
-def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, k: int, n_others: int):
+def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser):
     # Opaque Gaussians ten pixels apart; the codes fill several rows of the textures.
     generator = torch.Generator().manual_seed(8)
     across, down = torch.meshgrid(torch.arange(38), torch.arange(28), indexing="xy")
@@ -298,7 +280,7 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
     gaussians = splat(means, 0.03, torch.ones(count, 3), opacity=1.0)
     camera = Camera.look_at((0, -8, 0), (0, 0, 0), "front.png", 400, 300, 400)
     main = torch.randint(len(THINGS), (count, 3), generator=generator)
-    field = coded(gaussians, main, generator, Cameras([camera]), k, n_others)
+    field = coded(gaussians, main, generator, Cameras([camera]), k=6, n_others=300)
     field.code_weights = torch.rand(field.code_weights.shape, generator=generator).to(torch.float16)
     field.code_weights[::7, 1] = 0  # without a code
     viewed = ViewedField(field.with_encoder(table()))
@@ -318,3 +300,23 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
                 found = visit.picture()[rows, columns].mean(1) / white[rows, columns].mean(1)
                 np.testing.assert_allclose(found, relevancy[level].numpy(), atol=0.01)
             visit.remove(text)
+
+
+def test_an_exported_page_understands_phrases(browser: Browser, tmp_path: Path) -> None:
+    viewed, text = ViewedField(room(1)), "what is left of salt and pepper"
+    export_page(viewed, tmp_path / "room.html")
+    with visiting(browser, (tmp_path / "room.html").as_uri(), offline=True) as visit:
+        for some in [*zip(*[iter(PHRASES)] * 3, strict=True)][::4]:  # the others are asked without a browser
+            visit.page.evaluate("texts => window.scoupViewer.ask(texts)", list(some))
+            check_alike(viewed, some, visit.state()["queries"][-3:])
+        visit.ask(text)
+        facts = visit.row(text).locator(".facts").inner_text()
+        assert facts.startswith("13 things, table, 2 x mug, laptop, lamp, ball, bowl")
+        box = visit.page.get_by_label("What do you look for?")
+        box.fill("mug across the table")
+        box.press("Enter")
+        visit.page.locator("#message").filter(has_text="unknown relation 'across'").wait_for()
+        for query in visit.state()["queries"][:-1]:
+            visit.remove(query["text"])
+        command = visit.page.evaluate("window.scoupViewer.command()").split(" --out")[0]
+        assert command.endswith("""'what is left of "salt and pepper"'""")

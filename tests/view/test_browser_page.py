@@ -10,10 +10,8 @@ import threading
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 from browser_support import (
     ABSENT,
     ABSENT_TOO,
@@ -22,6 +20,7 @@ from browser_support import (
     CONTRASTS,
     LEVELS,
     MIXED,
+    Browser,
     Visit,
     both_pages,
     check_saved,
@@ -36,17 +35,13 @@ from view_samples import selected_by_votes
 
 from scoup.view.viewed_field import ViewedField
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
-
 LEVEL_WORDS = {"s": "fine", "m": "medium", "l": "coarse"}
 BACKGROUND = "each => getComputedStyle(each).backgroundColor"
 
 
-def test_the_scene_and_the_thing_of_a_text_are_seen(visit: Visit, viewed: ViewedField):
+def test_pictures_clicks_and_files_are_those_of_the_library(
+    visit: Visit, viewed: ViewedField, tmp_path: Path
+):
     plain = visit.picture()
     before = patches(plain)
     for name, camera in (("left.png", views()[1].resized(400, 300)), ("front.png", None)):
@@ -80,6 +75,41 @@ def test_the_scene_and_the_thing_of_a_text_are_seen(visit: Visit, viewed: Viewed
             assert np.abs(patch - before[name]).mean() > 10
     means = [patch.mean(0) for patch in after.values()]  # unlike things have codes of unlike colours
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)) > 20
+    # Clicks and files.
+    for name, place in places_in().items():
+        said = visit.click(place)
+        group = "dishes" if name in ("kettle", "mug") else "furniture"
+        words = [visit.page.locator(f"#place dd[data-level={level}]").inner_text() for level in "sml"]
+        assert [each.split(",")[0] for each in words] == [name, name, group]
+        assert "position, distance" in said
+        assert "views agree" in said
+        title = visit.page.locator("#place dd span").first.get_attribute("title") or ""
+        assert title.startswith("Relevancy ")
+    assert "nothing" in visit.click((0.5, 0.5))
+    visit.ask("kettle", "lamp")
+    mask = selected_by_votes(viewed, "kettle") | selected_by_votes(viewed, "lamp")
+    for mode, wanted in (("Heat", mask), ("All but the selection", ~mask)):
+        visit.choose(mode)
+        check_saved(visit.saved("Save selection", tmp_path), viewed.gaussians.select(wanted))
+    visit.remove("kettle")
+    visit.remove("lamp")
+    visit.ask("dishes")  # a group, which the coarse level knows
+    visit.choose("Only the selection")
+    pixels = patches(visit.picture())
+    assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
+    visit.remove("dishes")
+    visit.ask(MIXED)
+    sizes = set()
+    for level, threshold in itertools.product(LEVELS, (None, 0.3, 0.99)):
+        visit.choose(LEVELS[level])
+        if threshold is None:
+            visit.tick(AUTOMATIC)
+        else:
+            visit.slide("Threshold", threshold)
+        mask = selected_by_votes(viewed, MIXED, level, threshold)
+        sizes.add(int(mask.sum()))
+        assert difference(visit.picture(), render(viewed, mask)) < ALIKE, (level, threshold)
+    assert len(sizes) >= 5  # they did not all mean the same
 
 
 @both_pages
@@ -158,46 +188,9 @@ def test_texts_have_a_colour_and_what_the_library_says(visit: Visit, viewed: Vie
     assert difference(visit.picture(), render(viewed, selected_by_votes(viewed, ABSENT))) < ALIKE
 
 
-def test_levels_clicks_and_files_are_those_of_the_library(visit: Visit, viewed: ViewedField, tmp_path: Path):
-    for name, place in places_in().items():
-        said = visit.click(place)
-        group = "dishes" if name in ("kettle", "mug") else "furniture"
-        words = [visit.page.locator(f"#place dd[data-level={level}]").inner_text() for level in "sml"]
-        assert [each.split(",")[0] for each in words] == [name, name, group]
-        assert "position, distance" in said
-        assert "views agree" in said
-        title = visit.page.locator("#place dd span").first.get_attribute("title") or ""
-        assert title.startswith("Relevancy ")
-    assert "nothing" in visit.click((0.5, 0.5))
-    visit.ask("kettle", "lamp")
-    mask = selected_by_votes(viewed, "kettle") | selected_by_votes(viewed, "lamp")
-    for mode, wanted in (("Heat", mask), ("All but the selection", ~mask)):
-        visit.choose(mode)
-        check_saved(visit.saved("Save selection", tmp_path), viewed.gaussians.select(wanted))
-    visit.remove("kettle")
-    visit.remove("lamp")
-    visit.ask("dishes")  # a group, which the coarse level knows
-    visit.choose("Only the selection")
-    pixels = patches(visit.picture())
-    assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
-    visit.remove("dishes")
-    visit.ask(MIXED)
-    sizes = set()
-    for level, threshold in itertools.product(LEVELS, (None, 0.3, 0.99)):
-        visit.choose(LEVELS[level])
-        if threshold is None:
-            visit.tick(AUTOMATIC)
-        else:
-            visit.slide("Threshold", threshold)
-        mask = selected_by_votes(viewed, MIXED, level, threshold)
-        sizes.add(int(mask.sum()))
-        assert difference(visit.picture(), render(viewed, mask)) < ALIKE, (level, threshold)
-    assert len(sizes) >= 5  # they did not all mean the same
-
-
 def test_every_text_can_be_read(browser: Browser, live: str):
     states = []
-    with visiting(browser, live, (900, 1400), color_scheme="light") as visit:
+    with visiting(browser, live, (900, 1400)) as visit:
         page = visit.page
 
         def look() -> None:
@@ -234,12 +227,10 @@ READ = """async ([address, method]) => {
   const body = method === "POST" ? JSON.stringify({texts: ["kettle"]}) : undefined;
   try { return (await fetch(address, {method, body})).status; } catch (error) { return error.name; }
 }"""
-DRAW = """(address) => new Promise((done) => {
-  const picture = new Image();
-  picture.onload = () => done("loaded");
-  picture.onerror = () => done("refused");
-  picture.src = address;
-})"""
+DRAW = """(address) => {
+  const picture = Object.assign(new Image(), {src: address});
+  return picture.decode().then(() => "loaded", () => "refused");
+}"""
 FRAME = """(address) => new Promise((done) => {
   const frame = document.createElement("iframe");
   frame.onload = () => { try { done(frame.contentDocument ? "read" : "closed"); } catch { done("closed"); } };
@@ -249,7 +240,7 @@ FRAME = """(address) => new Promise((done) => {
 
 
 def test_a_page_of_another_site_gets_nothing(browser: Browser, live: str, tmp_path: Path) -> None:
-    page = browser.new_page()
+    page = browser.contexts[0].new_page()
     handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -6,7 +6,6 @@ import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from browser_support import (
     DRAWS,
     FILLERS,
     LEVELS,
+    Browser,
     Visit,
     both_pages,
     check_saved,
@@ -29,22 +29,15 @@ from browser_support import (
     served,
     table,
     views,
-    visiting,
 )
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import binary_dilation
+from view_samples import of_select
 
 from scoup import raster
-from scoup.query.ask import each_answer
 from scoup.view.viewed_field import ViewedField
 from support import altered
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("built_page")
 
 CLICKED = (0.25, 0.66, 1)
 """The colour of what is selected by a click."""
@@ -62,17 +55,9 @@ def visit(visit: Visit) -> Visit:
     return visit
 
 
-def selected(
-    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
-) -> torch.Tensor:
-    """[N] what `scoup select` selects."""
-    question = viewed.question([text], always=True, threshold=threshold, level=level)
-    return next(iter(each_answer(viewed.field, question))).mask
-
-
 def test_things_light_up_and_get_an_outline(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
-    by_things, answer = selected(viewed, "kettle"), viewed.answers(["kettle"])[0]
-    by_votes = selected(viewed, "kettle", answer.level, 0.5)
+    by_things, answer = of_select(viewed, "kettle").mask, viewed.answers(["kettle"])[0]
+    by_votes = of_select(viewed, "kettle", answer.level, 0.5).mask
     assert answer.chosen_things is not None
     assert (int(by_things.sum()), int(by_votes.sum())) == (90, 60)
     visit.ask("kettle")
@@ -88,7 +73,7 @@ def test_things_light_up_and_get_an_outline(visit: Visit, viewed: ViewedField, t
     visit.tick(AUTOMATIC)
     for level, name in LEVELS.items():
         visit.choose(name)
-        wanted = selected(viewed, "kettle", level)
+        wanted = of_select(viewed, "kettle", level).mask
         assert difference(visit.picture(), render(viewed, wanted)) < ALIKE, name
     visit.choose("automatic")
     visit.choose("All but the selection")
@@ -107,7 +92,7 @@ def test_things_light_up_and_get_an_outline(visit: Visit, viewed: ViewedField, t
         visit.choose(mode)
         for query in visit.state()["queries"]:
             found = outline(visit, "outlines", query["color"])
-            assert is_around(viewed, selected(viewed, query["text"]), found)
+            assert is_around(viewed, of_select(viewed, query["text"]).mask, found)
     saved = np.asarray(Image.open(visit.saved("Save picture", tmp_path)).convert("RGB")).astype(int)
     assert 0.01 < (np.abs(saved - visit.picture()).max(2) > 30).mean() < 0.2
     color = visit.state()["queries"][0]["color"]
@@ -162,17 +147,18 @@ def test_texts_are_answered_as_by_the_library(visit: Visit, viewed: ViewedField,
     visit.choose("Only the selection")
     for level, name in reversed(LEVELS.items()):
         visit.choose(name)
-        assert difference(visit.picture(), render(viewed, selected(viewed, "furniture", level))) < ALIKE, name
+        wanted = of_select(viewed, "furniture", level).mask
+        assert difference(visit.picture(), render(viewed, wanted)) < ALIKE, name
     # Things of several texts.
     visit.remove("furniture")
     visit.ask("mug", "kettle")
-    wanted = selected(viewed, "mug") | selected(viewed, "kettle")
-    assert int(wanted.sum()) > int(selected(viewed, "kettle").sum())
+    wanted = of_select(viewed, "mug").mask | of_select(viewed, "kettle").mask
+    assert int(wanted.sum()) > int(of_select(viewed, "kettle").mask.sum())
     visit.choose("Only the selection")
     assert difference(visit.picture(), render(viewed, wanted)) < ALIKE
     check_saved(visit.saved("Save selection", tmp_path), viewed.gaussians.select(wanted))
     visit.remove("mug")
-    assert difference(visit.picture(), render(viewed, selected(viewed, "kettle"))) < ALIKE
+    assert difference(visit.picture(), render(viewed, of_select(viewed, "kettle").mask)) < ALIKE
 
 
 def test_phrases_light_up_things(browser: Browser) -> None:
@@ -311,17 +297,6 @@ def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit) -> None:
     assert " m" in visit.page.locator("#selection .facts").inner_text()
 
 
-def test_a_link_opens_the_page_at_a_thing(browser: Browser, exported: str) -> None:
-    selected = "window.scoupViewer.state().things?.selected.join()"
-    with visiting(browser, f"{exported}#thing=4", offline=True) as visit:
-        visit.until(f"{selected} === '4'")
-        assert visit.page.locator("#selection").is_visible()
-        visit.page.mouse.click(*visit.at((0.5, 0.5)))
-        assert visit.page.evaluate(selected) == "7", "its group, since it is in the middle"
-        visit.page.evaluate("location.hash = 'thing=3'")
-        visit.until(f"{selected} === '3'")
-
-
 def outline(
     visit: Visit, canvas: str = "outline", color: tuple[float, ...] = (1, 1, 1)
 ) -> NDArray[np.bool_] | None:
@@ -390,8 +365,16 @@ def test_things_are_named_hidden_and_saved(visit: Visit, viewed: ViewedField, tm
     visit.page.keyboard.press("Escape")
     visit.page.get_by_role("button", name="Show 1 hidden").click()
     assert visit.state()["things"]["hidden"] == []
+    # A link opens the page at a thing.
+    linked = "window.scoupViewer.state().things?.selected.join()"
+    visit.page.evaluate("location.hash = 'thing=4'")
     visit.page.reload()
     visit.ready()
-    visit.tab("Things")
+    visit.until(f"{linked} === '4'")
     visit.page.get_by_label("Filter things").fill("my cup")
     assert rows.count() == 1  # the name is kept as long as the session
+    assert visit.page.locator("#selection").is_visible()
+    visit.page.mouse.click(*visit.at((0.5, 0.5)))
+    assert visit.page.evaluate(linked) == "7", "its group, since it is in the middle"
+    visit.page.evaluate("location.hash = 'thing=3'")
+    visit.until(f"{linked} === '3'")

@@ -10,7 +10,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +19,9 @@ from browser_support import (
     ALIKE,
     FRONT,
     PATIENCE,
+    Browser,
+    Page,
+    Route,
     Visit,
     difference,
     field_of_instances,
@@ -41,12 +44,6 @@ from scoup.pictures import Picture
 from scoup.view.exact import PictureMode
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, Route
-
-pytest.importorskip("uvicorn")
-pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
 def exact_picture(visit: Visit) -> Picture:
@@ -237,9 +234,9 @@ def test_on_a_telephone(browser: Browser, live: str, viewed: ViewedField, width:
 def test_what_is_copied_does_what_is_seen(
     browser: Browser, live: str, viewed: ViewedField, tmp_path: Path, monkeypatch
 ):
-    permissions = ["clipboard-read", "clipboard-write"]
-    with visiting(browser, live, permissions=permissions) as visit:
+    with visiting(browser, live) as visit:
         page = visit.page
+        page.context.grant_permissions(["clipboard-read", "clipboard-write"])
 
         def copied(button: str) -> str:
             page.evaluate("navigator.clipboard.writeText('')")
@@ -318,7 +315,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["file", "http"])
 def page(request: pytest.FixtureRequest, browser: Browser, folder: Path) -> Iterator[Page]:
-    page = browser.new_page()
+    page = browser.contexts[0].new_page()
     page.set_default_timeout(PATIENCE)
 
     def serve(route: Route) -> None:
@@ -347,19 +344,20 @@ def test_it_says_what_is_asked_and_selected_to_its_own_page_only(page: Page) -> 
     page.locator("#selected").filter(has_text="mug at ").wait_for()
     text.press("Escape")
     page.locator("#selected:empty").wait_for(state="attached")
-    # An exported page tells other sites nothing.
     inner = page.frames[1]
     page.evaluate("heard = []")
-    inner.goto("http://elsewhere.test/scene.scoup.html")
-    inner.locator("#loading").wait_for(state="hidden")
-    inner.evaluate("window.scoupViewer.ask(['kettle'])")
-    inner.evaluate("parent.postMessage('last', '*')")
-    page.wait_for_function("heard.includes('last')")
-    assert page.evaluate("heard") == ["last"]
+    if page.url.startswith("http:"):  # an exported page tells other sites nothing
+        inner.goto("http://elsewhere.test/scene.scoup.html")
+        inner.locator("#loading").wait_for(state="hidden")
+        inner.evaluate("window.scoupViewer.ask(['kettle'])")
+        inner.evaluate("parent.postMessage('last', '*')")
+        page.wait_for_function("heard.includes('last')")
+        assert page.evaluate("heard") == ["last"]
+    heard = page.evaluate("heard.length")
     # The element does not hear other windows and sites.
     page.evaluate("forged => window.postMessage(forged, '*')", FORGED)
     inner.goto("http://elsewhere.test/other.html")
-    page.wait_for_function("heard.length >= 4")
+    page.wait_for_function(f"heard.length >= {heard + 3}")
     assert asked.is_visible()
     page.evaluate("document.querySelector('scoup-view').removeAttribute('src')")
     assert page.locator("scoup-view iframe").get_attribute("src") == "about:blank"

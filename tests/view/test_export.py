@@ -10,6 +10,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from PIL import Image
@@ -117,16 +118,12 @@ def test_nothing_is_overwritten_unasked_or_half_written(
         export_page(viewed, out)
     assert out.read_text() == "mine"
 
-    def interrupt(*arguments: object) -> str:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(ViewedField, "thumbnail", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        export_page(viewed, out, overwrite=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(ViewedField, "thumbnail", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            export_page(viewed, out, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.html"]
     assert out.read_text() == "mine"
-    monkeypatch.undo()
-    monkeypatch.setattr(export, "page_files", lambda: PAGE)
     export_page(viewed, out, overwrite=True)
     assert out.read_text() != "mine"
 

@@ -8,12 +8,11 @@ import shutil
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 pytest.importorskip("starlette", reason="needs scoup[view]")
-from browser_support import visiting
 from test_one_grammar import PHRASES
 from view_samples import PAGE
 
@@ -24,9 +23,6 @@ from scoup.query import LanguageField
 from scoup.view import export
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 VIEWER = Path(__file__).resolve().parents[2] / "viewer"
 REFUSED = (
@@ -182,31 +178,3 @@ def test_the_program_of_the_page_answers_as_python_does(levels: int, by_page) ->
         assert said["Salt and pepper"]["asked"] == '"Salt and pepper"'
         for text in ("mug across the table", "second mug", "mug between laptop"):
             assert said[text]["refused"] == by_python(viewed, text)["refused"]
-
-
-@pytest.mark.usefixtures("built_page")
-def test_an_exported_page_understands_phrases(browser: Browser, tmp_path: Path) -> None:
-    viewed = ViewedField(room(1))
-    export_page(viewed, tmp_path / "room.html")
-    with visiting(browser, (tmp_path / "room.html").as_uri(), offline=True) as visit:
-        for some in [*zip(*[iter(PHRASES)] * 3, strict=True)][::4]:  # the others are asked without a browser
-            visit.page.evaluate("texts => window.scoupViewer.ask(texts)", list(some))
-            check_alike(viewed, some, visit.state()["queries"][-3:])
-        text = "what is left of salt and pepper"
-        visit.ask(text)
-        assert (
-            visit.row(text)
-            .locator(".facts")
-            .inner_text()
-            .startswith("13 things, table, 2 x mug, laptop, lamp, ball, bowl")
-        )
-        visit.page.get_by_label("What do you look for?").fill("mug across the table")
-        visit.page.get_by_label("What do you look for?").press("Enter")
-        visit.page.locator("#message").filter(has_text="unknown relation 'across'").wait_for()
-        for query in visit.state()["queries"][:-1]:
-            visit.remove(query["text"])
-        assert (
-            visit.page.evaluate("window.scoupViewer.command()")
-            .split(" --out")[0]
-            .endswith("""'what is left of "salt and pepper"'""")
-        )

@@ -67,8 +67,9 @@ def said(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
     out = path.parent
     query = run_json("query", path, *PHRASES, "--pictures", "none", "--out", out / "answers")
     label = run_json("label", path, *PHRASES, "--outputs", "sidecar", "--out", out / "labels")
-    app = application(ViewedField(LanguageField.load(path)), PAGE, Guard.of("127.0.0.1"))
-    client, tools = TestClient(app, "http://127.0.0.1:8350"), SceneTools({"room": LanguageField.load(path)})
+    field = LanguageField.load(path)
+    app = application(ViewedField(field), PAGE, Guard.of("127.0.0.1"))
+    client, tools = TestClient(app, "http://127.0.0.1:8350"), SceneTools({"room": field})
     page = [
         answer
         for some in zip(*[iter(PHRASES)] * 3, strict=True)

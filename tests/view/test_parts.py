@@ -182,14 +182,6 @@ def moments(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
     return cover, mean, (share[:, None, None] * (axes @ axes.mT + aside @ aside.mT)).sum(0)
 
 
-def test_what_fits_is_shown_as_it_is() -> None:
-    gaussians = random_gaussians(100, 0)
-    shown = decimate(gaussians, 100)
-    assert shown.rows.sort().values.tolist() == list(range(100))
-    for name in ("means", "scales", "opacities", "sh"):
-        assert getattr(shown.gaussians, name).equal(getattr(gaussians, name)[shown.rows])
-
-
 def test_a_merged_gaussian_has_the_moments_of_its_members() -> None:
     gaussians = cluster(20, 1)
     shown = decimate(gaussians, 5)

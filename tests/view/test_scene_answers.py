@@ -15,6 +15,7 @@ from view_samples import (
     DIM,
     WORDS,
     field_with_things,
+    of_select,
     random_field,
     selected_by_votes,
     table,
@@ -29,7 +30,6 @@ from scoup.field.thing_table import TENSORS
 from scoup.io.word_list import read_words
 from scoup.models import TextEncoder
 from scoup.query import Answer, LanguageField, level_thresholds
-from scoup.query.ask import each_answer
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_data import NO_OWNER
 from scoup.view.scene_tools import SceneTools
@@ -53,11 +53,6 @@ def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
     """What is said of an answer."""
     record = answer.to_dict()
     return {name: record[name] for name in VERDICT}
-
-
-def of_select(viewed: ViewedField, text: str, level: int | None = None) -> Answer:
-    """What `scoup select --always` answers."""
-    return next(iter(each_answer(viewed.field, viewed.question([text], always=True, level=level))))
 
 
 def test_levels_thresholds_and_gaussians_are_those_of_select(viewed: ViewedField) -> None:

@@ -13,7 +13,7 @@ import anyio
 import pytest
 from PIL import Image
 
-from cli_support import run, write_scene
+from cli_support import run_json, write_scene
 from messages import check_message, refuses
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
@@ -33,8 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene(place / "scene")
     table = place / "scene" / "words.npz"
     options = ("--n-atoms", "8", "--model", table)
-    code, _, err = run("build", place / "scene", *options, "--out", place / "f.scoup")
-    assert code == 0, err
+    run_json("build", place / "scene", *options, "--out", place / "f.scoup")
     return place
 
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 pytest.importorskip("starlette", reason="needs scoup[view]")
 from starlette.testclient import TestClient
-from view_samples import PAGE, WORDS, camera_record, field_with_things, table, unpacked, viewed_field
+from view_samples import PAGE, WORDS, field_with_things, table, unpacked, viewed_field
 
 from messages import check_message
 from scoup.io import PlyTable
@@ -121,7 +121,7 @@ def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: View
 
 def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField, tmp_path: Path) -> None:
     camera = viewed.field.camera(0)
-    record = camera_record(camera)
+    record = viewed.metadata()["cameras"][0]
     asked = {"texts": ["thing 3", "thing 5"], "colors": [[64, 184, 245], [245, 158, 18]], "opacity": 0.7}
     for mode in ("color", "heat", "mask", "codes"):
         answer = client.post("/api/render", json={"camera": record, "mode": mode, **asked, "quality": 95})

@@ -5,16 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
-from browser_support import A_THING, THINGS, Visit, saved_field
+from browser_support import A_THING, THINGS, Browser, Page, Route, Visit, saved_field
 
 from cli_support import run_json
 from scoup.io import PlyTable
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, Route
 
 PROGRAM = os.environ.get("SCOUP_SUPERSPLAT")
 pytestmark = pytest.mark.skipif(not PROGRAM, reason="SCOUP_SUPERSPLAT names no folder `dist` of SuperSplat")
@@ -31,7 +27,7 @@ EXPORT = (
 def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     """A page with the files of a folder that has a field."""
     saved_field(tmp_path)
-    visit = Visit(browser.new_page())
+    visit = Visit(browser.contexts[0].new_page())
 
     def serve(route: Route) -> None:
         name = route.request.url.split("?")[0].split("/", 3)[3]

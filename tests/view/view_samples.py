@@ -14,8 +14,9 @@ from torch import Tensor
 
 from scoup.field import FieldInfo
 from scoup.models import CANONICAL_PHRASES
-from scoup.query import LanguageField
-from scoup.scene import Camera, Cameras, Gaussians, index_dtype
+from scoup.query import Answer, LanguageField
+from scoup.query.answer_scene import each_answer
+from scoup.scene import Cameras, Gaussians, index_dtype
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
 from support import altered, make_camera, random_gaussians, things_of, unit
@@ -91,15 +92,6 @@ def unpacked(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     return load(plain), json.loads(header["__metadata__"]["scoup"])
 
 
-def camera_record(camera: Camera) -> dict[str, Any]:
-    return {
-        "viewmat": camera.viewmat.flatten().tolist(),
-        "K": camera.K.flatten().tolist(),
-        "width": camera.width,
-        "height": camera.height,
-    }
-
-
 def splat_of(tensors: dict[str, np.ndarray], metadata: dict[str, Any]) -> Gaussians:
     """The Gaussians of a page's scene, unpacked as the page does."""
     planes = tensors["means"].astype(np.float64)  # [3 bytes, 3 axes, N]
@@ -141,3 +133,11 @@ def selected_by_votes(
     rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
     own = answer.thresholds[level] if threshold is None else threshold
     return (rescaled > own) & viewed.field.coded_levels()[level]
+
+
+def of_select(
+    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
+) -> Answer:
+    """What `scoup select --always` answers."""
+    question = viewed.question([text], always=True, threshold=threshold, level=level)
+    return next(iter(each_answer(viewed.field, question)))
