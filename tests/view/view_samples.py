@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.field import FieldInfo
 from scoup.models import CANONICAL_PHRASES
 from scoup.query import Answer, LanguageField
-from scoup.query.answer_scene import each_answer
+from scoup.query.ask import each_answer
 from scoup.scene import Cameras, Gaussians, index_dtype
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
