@@ -23,6 +23,8 @@ from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Thing
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
+Shifts = Mapping[int, Floats]
+"""Number of a thing -> [3] metres."""
 AWAY = np.array([0.0, 0.0, -1000.0])  # metres, where no camera sees it
 OF_EACH = 3  # things that are removed, added, moved
 SIZES = (0.06, 0.9)  # metres: diagonals of these things
@@ -91,7 +93,7 @@ PAIRS = (
 class ChangedLayout(Layout):
     """A layout whose things are shifted."""
 
-    shifts: Mapping[int, Floats] = field(default_factory=dict)  # number of a thing -> [3] metres
+    shifts: Shifts = field(default_factory=dict)
 
     def things(self) -> tuple[Thing, ...]:
         """Return the things where they are now."""
@@ -119,18 +121,13 @@ def of_layout(name: str, n_gaussians: int) -> Record:
     """Return right, reported and true changes of each kind, for each sort of pair of a layout."""
     kind, _, seed = name.rpartition("-")
     layout = find_layout(kind)
-    removed, added, moves = drawn_changes(layout.things(), np.random.default_rng([int(seed), 58]))
+    before, after, truth = drawn_changes(layout.things(), np.random.default_rng([int(seed), 58]))
 
-    def capture(
-        shifts: Mapping[int, Floats], more: int, part: float = 1.0
-    ) -> tuple[DemoScene, scoup.LanguageField]:
+    def capture(shifts: Shifts, more: int, part: float = 1.0) -> tuple[DemoScene, scoup.LanguageField]:
         scene = changed_scene(layout, int(seed), n_gaussians, shifts, more, part)
         return scene, field_of(scene)
 
-    before = dict.fromkeys(added, AWAY)
-    after = dict.fromkeys(removed, AWAY) | moves
     old = capture(before, 0)
-    truth = Truth(frozenset(removed), frozenset(added), frozenset(moves))
     # Another number of Gaussians, so that no draw of the splat is the same.
     pairs = {
         "changed": (after, 1000, 1.0),
@@ -148,7 +145,7 @@ def of_layout(name: str, n_gaussians: int) -> Record:
 
 
 def changed_scene(
-    layout: Layout, seed: int, n_gaussians: int, shifts: Mapping[int, Floats], more: int, part: float = 1.0
+    layout: Layout, seed: int, n_gaussians: int, shifts: Shifts, more: int, part: float = 1.0
 ) -> DemoScene:
     """Return the scene of a layout with things shifted, with ``more`` Gaussians from other cameras."""
     changed = ChangedLayout(**vars(layout), shifts=shifts).seen(part, between=bool(more))
@@ -157,8 +154,9 @@ def changed_scene(
 
 def drawn_changes(
     things: tuple[Thing, ...], rng: np.random.Generator, of_each: int = OF_EACH
-) -> tuple[list[int], list[int], dict[int, Floats]]:
-    """Draw the things that are removed, added, and moved by how much: sideways, to where no other small thing is."""
+) -> tuple[Shifts, Shifts, Truth]:
+    """Draw the things that are removed, added and moved, which is sideways, to where no other small thing is; return
+    the shifts of the old and of the new capture, and these changes."""
     boxes = [np.concatenate([thing.mesh(piece).vertices for piece in thing.pieces]) for thing in things]
     boxes = np.stack([[each.min(0), each.max(0)] for each in boxes])
     sizes = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
@@ -178,7 +176,8 @@ def drawn_changes(
             if apart.any(1).all():
                 moves[number] = shift
                 break
-    return removed, added, moves
+    truth = Truth(frozenset(removed), frozenset(added), frozenset(moves))
+    return dict.fromkeys(added, AWAY), dict.fromkeys(removed, AWAY) | moves, truth
 
 
 def scored(found: Comparison, old: DemoScene, new: DemoScene, truth: Truth, in_part: bool) -> Record:

@@ -55,13 +55,9 @@ def readme() -> str:
     best of a column, whichever way has it."""
     of = record("real")
     names = {
-        way: row
-        for way, row in {
-            "default": ("`scoup build`", 42),
-            "paper": ("`scoup build --preset paper`", 36),
-            "dense": ("dense 512-d uplift", 6144),
-        }.items()
-        if way in of["ways"]
+        "default": ("`scoup build`", 42),
+        "paper": ("`scoup build --preset paper`", 36),
+        "dense": ("dense 512-d uplift", 6144),
     }
     rendered = {place_of(name) for name in of["scenes"]["default"]} - {*PHOTOGRAPHED}
     columns = {

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,6 +14,8 @@ import torch
 from torch import Tensor
 
 import scoup
+from benchmarks.processes import SCOUP, run_python
+from benchmarks.random_field import everyday_vectors
 from scoup import raster
 from scoup.field import relevancy
 from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS
@@ -145,8 +145,7 @@ def query_row(field: LanguageField, name: str, device: str, repeats: int) -> Row
     vectors, phrases = clip_like(16, seed=1).to(device), clip_like(len(CANONICAL_PHRASES), seed=2).to(device)
     view = field.at(1)
     view.relevancy(vectors[:1], phrases)
-    words = [*CANONICAL_PHRASES, *EVERYDAY_WORDS]
-    field = field.with_encoder(dict(zip(words, clip_like(len(words), seed=3), strict=True)))
+    field = field.with_encoder(everyday_vectors())
     asked = [field.question(word) for word in EVERYDAY_WORDS[:16]]
     turn = itertools.count()
     runs: dict[str, Callable[[], object]] = {
@@ -171,10 +170,11 @@ def answers_row(
         fields = []
         for number, where in enumerate((device, "cpu")):
             out = folder / f"{number}.scoup"
-            _scoup("build", source, "--model", source / "text.npz", "--out", out, "--device", where)
+            model = str(source / "text.npz")
+            run_python(SCOUP, "build", str(source), "--model", model, "--out", str(out), "--device", where)
             fields.append(LanguageField.load(out))
-        asked = folder / "0.scoup", scene.layout.favourites[0]
-        _scoup("query", *asked, "--camera", "all", "--out", folder / "out", "--device", device)
+        asked = str(folder / "0.scoup"), scene.layout.favourites[0], "--camera", "all", "--device", device
+        run_python(SCOUP, "query", *asked, "--out", str(folder / "out"))
         words = sorted(scene.layout.favourites)
         overlaps, levels = [], 0
         for ours, theirs in zip(*(field.answer(field.question(words)) for field in fields), strict=True):
@@ -187,11 +187,3 @@ def answers_row(
         "least IoU": min(overlaps),
         "mean IoU": sum(overlaps) / len(words),
     }
-
-
-def _scoup(*words: object) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "scoup", *map(str, words)], check=False, capture_output=True, text=True
-    )
-    if done.returncode:
-        raise RuntimeError(f"scoup {words[0]}: {done.stderr.strip()[-300:]}")

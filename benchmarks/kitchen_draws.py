@@ -30,18 +30,26 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
 from scoup.models import CANONICAL_PHRASES
-from scoup.query import mask_box
 from scoup.scene import LEVELS, Camera, Cameras, Gaussians, RegionMap, Regions
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.meshes import Floats
-from scoup_lab.synthetic.observe import IntMap, Shown, embed_regions, make_regions, moved_borders, noise
-from scoup_lab.synthetic.words import unit
+from scoup_lab.synthetic.observe import (
+    PART_OFFSET,
+    VIEW_NOISE,
+    IntMap,
+    Shown,
+    embed_regions,
+    make_regions,
+    moved_borders,
+    noise,
+)
+from scoup_lab.synthetic.scene import frame_of_masks
+from scoup_lab.synthetic.words import OWN_COSINE, unit
 
 PERSON, CLOTHES, HAND = 4, 5, 6
 GROUPS = {"person": (4, 5, 6), "shelves": (14, 15, 16), "plate": (22, 23, 24)}
@@ -61,10 +69,8 @@ MIGHT_BE_THERE = frozenset(
 PIECE = 900  # Gaussians of a piece, about; haze and dense things differ much
 MOST_PIECES = 6
 N_QUERIES, N_LABELLED = 15, 6
-SMALLEST_LABEL = 75  # pixels, in a view 480 wide
-OWN_COSINE, HEAD_COSINE = (0.26, 0.31), 0.25
+HEAD_COSINE = 0.25
 MARGIN = 0.03  # how far below its own prototype all others stay for a name
-OFFSET, VIEW_NOISE = 0.2, 0.16  # as in ``observe``
 NOISINESS = 1.25  # of the regions: with it, regions of one object are as alike as in the given scene
 
 
@@ -172,7 +178,8 @@ def make_draw(
     for view in views:
         camera = truth.cameras[view]
         objects = pieces.objects[maps[camera.name]]
-        frames.append((_labelled(camera, objects, {name: of_name[name] for name in chosen}), camera))
+        masks = {name: torch.from_numpy(np.isin(objects, of_name[name])) for name in chosen}
+        frames.append((frame_of_masks(camera.name, masks), camera))
     return KitchenDraw(regions, frames)
 
 
@@ -260,7 +267,7 @@ def _observed(
     maps: dict[str, IntMap], pieces: _Pieces, prototypes: Floats, rng: np.random.Generator, errors: _Errors
 ) -> Regions:
     of_piece = prototypes[pieces.objects]
-    offsets = {level: noise(of_piece.shape, OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
+    offsets = {level: noise(of_piece.shape, PART_OFFSET if level == "s" else 0.0, rng) for level in LEVELS}
     merged = np.arange(len(prototypes))
     for group in GROUPS.values():
         merged[list(group)] = group[0]
@@ -290,18 +297,3 @@ def _observed(
                 torch.from_numpy(labels), torch.from_numpy(rows.astype(np.float32))
             )
     return Regions.from_maps(found)
-
-
-def _labelled(
-    camera: Camera, objects: NDArray[np.int64], of_name: dict[str, tuple[int, ...]]
-) -> LabelledFrame:
-    least = SMALLEST_LABEL * (camera.width / 480) ** 2
-    masks: dict[str, Tensor] = {}
-    boxes: dict[str, Tensor] = {}
-    for name, numbers in of_name.items():
-        mask = torch.from_numpy(np.isin(objects, numbers))
-        box = mask_box(mask)
-        if box is not None and int(mask.sum()) >= least:
-            masks[name] = mask
-            boxes[name] = torch.tensor([[box[0], box[1], box[2] - 1, box[3] - 1]], dtype=torch.float32)
-    return LabelledFrame(camera.name.rsplit(".", 1)[0], camera.width, camera.height, masks, boxes)

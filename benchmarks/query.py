@@ -14,7 +14,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.processes import SCOUP, run_python
-from benchmarks.random_field import random_field, write_words
+from benchmarks.random_field import everyday_vectors, random_field, write_words
 from benchmarks.study import Record, Study
 from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query import LanguageField
@@ -75,8 +75,7 @@ class Query(Study):
         count = self.repeats + 1  # the first does not count
         queries, canonical = clip_like(count, seed=1), clip_like(len(CANONICAL_PHRASES) + 1, seed=2)
         asked, batch = EVERYDAY_WORDS[: 2 * count], list(EVERYDAY_WORDS[-10:])
-        names = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
-        words = scoup.TextEncoder.open(dict(zip(names, clip_like(len(names), seed=3), strict=True)))
+        words = scoup.TextEncoder.open(everyday_vectors())
         clock = Stopwatch(time.process_time)
         with torch_threads(self.threads):
             for number in range(count):

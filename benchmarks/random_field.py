@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from scoup.field import FieldInfo
 from scoup.models import CANONICAL_PHRASES, EVERYDAY_WORDS, WordTable
 from scoup.query import LanguageField
-from scoup.scene import Cameras, Gaussians
+from scoup.scene import LEVELS, Cameras, Gaussians
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
-
-LEVELS = ("s", "m", "l")
 
 
 def random_field(
@@ -28,8 +29,14 @@ def random_field(
     return LanguageField(*codes, codebook, info, gaussians, geometry, cameras)
 
 
+def everyday_vectors(*more: str) -> dict[str, Tensor]:
+    """Return made-up vectors [512] of everyday words, the canonical phrases and more."""
+    words = dict.fromkeys([*CANONICAL_PHRASES, *more, *EVERYDAY_WORDS])
+    return dict(zip(words, clip_like(len(words), seed=3), strict=True))
+
+
 def write_words(path: Path, *more: str) -> Path:
-    """Write a table with vectors of everyday words, the canonical phrases and more."""
-    words = list(dict.fromkeys([*CANONICAL_PHRASES, *more, *EVERYDAY_WORDS]))
-    WordTable.save(path, words, clip_like(len(words), seed=3), model="simulated")
+    """Write a table of ``everyday_vectors``."""
+    vectors = everyday_vectors(*more)
+    WordTable.save(path, list(vectors), torch.stack(list(vectors.values())), model="simulated")
     return path

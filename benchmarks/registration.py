@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import scoup
-from benchmarks.compare import AWAY, KINDS, Truth, changed_scene, drawn_changes, false_changes, scored
+from benchmarks.compare import KINDS, changed_scene, drawn_changes, false_changes, scored
 from benchmarks.data import data_folder
 from benchmarks.real_scenes import FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS, field_of, find_layout
@@ -31,10 +31,8 @@ Array = NDArray[np.floating[Any]]
 SCALES = (0.3, 3.0)
 SHIFT = 3.0  # scene units, standard deviation along each axis
 LIGHT = 0.3  # length of what another light adds to all embeddings of a capture
-KEPT, NOISE = (
-    0.5,
-    0.3,
-)  # share of a splat's Gaussians in a copy, and their noise in largest standard deviations
+KEPT = 0.5  # share of a splat's Gaussians in a copy
+NOISE = 0.3  # of their positions, in largest standard deviations
 RIGHT = 0.01  # of the diagonal of a capture: the median error up to which a transform is found
 INNER = (0.1, 0.9)  # shares of the Gaussians along each axis between which the error is taken
 SIMULATED, REAL = "simulated, up to a third changed", "real models, halves of the path"
@@ -196,14 +194,12 @@ def turned_layout(name: str, n_gaussians: int) -> tuple[Pair, Record]:
     kind, _, seed = name.rpartition("-")
     layout, rng = find_layout(kind), np.random.default_rng([int(seed), 73])
     things = layout.things()
-    removed, added, moves = drawn_changes(things, rng, round(len(things) / 9))
-    before, after = dict.fromkeys(added, AWAY), dict.fromkeys(removed, AWAY) | moves
+    before, after, truth = drawn_changes(things, rng, round(len(things) / 9))
     first = changed_scene(layout, int(seed), n_gaussians, before, 0)
     then = changed_scene(layout, int(seed), n_gaussians, after, 1000)
     frame = Frame.drawn(rng)
     gaussians, cameras = frame.moved(then.gaussians, then.building)
     then = replace(then, gaussians=gaussians, building=cameras, regions=in_other_light(then.regions, rng))
-    truth = Truth(frozenset(removed), frozenset(added), frozenset(moves))
     pair = field_of(first), field_of(then)
     words = first.words.texts
     return pair, registered(pair, words, frame, lambda found: scored(found, first, then, truth, False))

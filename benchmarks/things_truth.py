@@ -21,10 +21,8 @@ from scoup_lab.synthetic.scene import DemoScene
 
 RIGHT, UP, AWAY = range(3)
 LEAST = 20  # Gaussians of an instance
-TOUCHING, APART = (
-    0.015,
-    0.1,
-)  # metres between the bottom of a thing and the top of what it is on, or clearly not on
+TOUCHING, APART = 0.015, 0.1
+"""Metres between the bottom of a thing and the top of what it is on, or clearly not on."""
 MOSTLY = 0.9  # share of a footprint
 STRAYS = 0.02  # share of a hand-labelled object's Gaussians beyond each end of its box
 

@@ -1,6 +1,6 @@
 """The rules of automatic masks and of LangSplat, written out one mask and one pair at a time, at full size.
 
-Slow on purpose, and independent of ``scoup.extract``: the tests compare with it, the benchmark measures against it.
+Slow on purpose, and independent of ``scoup.extract``: the tests compare with it.
 Sources: the protocol in docs/extract.md; SAM's automatic mask generator and LangSplat's preprocessing as published.
 """
 
@@ -79,16 +79,13 @@ def mask_rule(
     least_score: float = 0.7,
     inside: float = 0.85,
     covered: float = 0.5,
-    pairs: Callable[[int, int], bool] = lambda i, j: True,
 ) -> list[int]:
-    """LangSplat's suppression of masks [N, H, W]: numbers kept, ascending. ``pairs`` can leave pairs out."""
+    """LangSplat's suppression of masks [N, H, W]: numbers kept, ascending."""
     order = torch.sort(scores, descending=True, stable=True).indices.tolist()
     areas = [dense[number].sum(dtype=torch.float) for number in order]
     dropped = [not bool(scores[number] > least_score) for number in order]
     for i in range(len(order)):
         for j in range(i + 1, len(order)):
-            if not pairs(i, j):
-                continue
             shared = torch.logical_and(dense[order[i]], dense[order[j]]).sum(dtype=torch.float)
             union = torch.logical_or(dense[order[i]], dense[order[j]]).sum(dtype=torch.float)
             if shared / union > most_overlap:
@@ -138,14 +135,14 @@ class Generator:
 
     points_per_side: int
     batch: int
-    layers: int = 1
-    iou_limit: float = 0.7
-    stability_limit: float = 0.85
-    offset: float = 1.0
-    box_limit: float = 0.7
-    crop_limit: float = 0.7
-    least: int = 100
-    crop_share: float = 512 / 1500
+    layers: int
+    iou_limit: float
+    stability_limit: float
+    offset: float
+    box_limit: float
+    crop_limit: float
+    least: int
+    crop_share: float
 
     def generate(self, image: np.ndarray, answer: Answer) -> dict[str, list[tuple[np.ndarray, float, float]]]:
         """Level -> (mask, predicted IoU, stability)."""

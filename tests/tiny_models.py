@@ -60,7 +60,7 @@ def tiny_sam2(seed: int = 0) -> Any:
     }  # fmt: skip
     vision = {
         "backbone_config": backbone, "backbone_channel_list": [64, 32, 16, 8], "fpn_hidden_size": 32,
-        "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]],
+        "backbone_feature_sizes": SIZES,
     }  # fmt: skip
     config = of_transformers("Sam2Config")(
         vision_config=vision,
@@ -154,18 +154,24 @@ def saved(model: Any, folder: Path, **preprocessor: Any) -> Path:
     return folder
 
 
-def tiny_tokenizer(folder: Path, words: list[str]) -> None:
-    """Saves one that knows a few words."""
+def word_tokenizer(names: list[str]) -> Any:
+    """One that numbers words by their places; the first stands for all others."""
     from tokenizers import Tokenizer
     from tokenizers.models import WordLevel
     from tokenizers.pre_tokenizers import Whitespace
+
+    tokenizer = Tokenizer(WordLevel({name: place for place, name in enumerate(names)}, unk_token=names[0]))
+    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
+    return tokenizer
+
+
+def tiny_tokenizer(folder: Path, words: list[str]) -> None:
+    """Saves one that knows a few words."""
     from tokenizers.processors import TemplateProcessing
 
-    vocabulary = {word: index for index, word in enumerate(["<unk>", "<bos>", *words, "<eos>"])}
-    tokenizer = Tokenizer(WordLevel(vocabulary, unk_token="<unk>"))
-    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
-    tokenizer.post_processor = TemplateProcessing(  # pyright: ignore
-        single="<bos> $A <eos>", special_tokens=[(name, vocabulary[name]) for name in ("<bos>", "<eos>")]
+    tokenizer = word_tokenizer(["<unk>", "<bos>", *words, "<eos>"])
+    tokenizer.post_processor = TemplateProcessing(
+        single="<bos> $A <eos>", special_tokens=[("<bos>", 1), ("<eos>", len(words) + 2)]
     )
     transformers.PreTrainedTokenizerFast(
         tokenizer_object=tokenizer, bos_token="<bos>", eos_token="<eos>", pad_token="<eos>", unk_token="<unk>"
@@ -184,8 +190,7 @@ def save_text_clip(folder: Path, seed: int = 0) -> Path:
     torch.manual_seed(seed)
     vision = {**VISION, "intermediate_size": 32, "image_size": 8, "patch_size": 4}
     config = transformers.CLIPConfig(text_config=TINY_TEXT, vision_config=vision, projection_dim=12)
-    transformers.CLIPModel(config).save_pretrained(folder)
-    tiny_tokenizer(folder, WORDS)
+    tiny_tokenizer(saved(transformers.CLIPModel(config), folder), WORDS)
     return folder
 
 
@@ -202,17 +207,12 @@ def save_owl(folder: Path, seed: int = 0) -> Any:
         projection_dim=16,
     )  # fmt: skip
     model = lively(transformers.Owlv2ForObjectDetection(config).eval())
-    model.save_pretrained(folder)
-    tiny_tokenizer(folder, TINY_WORDS)
+    tiny_tokenizer(saved(model, folder), TINY_WORDS)
     return model
 
 
 def save_grounding_dino(folder: Path, seed: int = 0) -> Any:
     """A Grounding DINO whose tokenizer has the numbers of BERT's special tokens, by which the model finds texts."""
-    from tokenizers import Tokenizer
-    from tokenizers.models import WordLevel
-    from tokenizers.pre_tokenizers import Whitespace
-
     torch.manual_seed(seed)
     config = of_transformers("GroundingDinoConfig")(
         backbone_config={"model_type": "swin", "embed_dim": 8, "depths": [1, 1, 1, 1], "num_heads": [1, 1, 2, 2],
@@ -225,11 +225,10 @@ def save_grounding_dino(folder: Path, seed: int = 0) -> Any:
     model.save_pretrained(folder)
     names = ["[PAD]", *TINY_WORDS, *(f"##{number}" for number in range(5, 1013))]
     names[101], names[102], names[1012] = "[CLS]", "[SEP]", "."
-    tokenizer = Tokenizer(WordLevel({name: place for place, name in enumerate(names)}, unk_token="[PAD]"))
-    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
-    transformers.PreTrainedTokenizerFast(
-        tokenizer_object=tokenizer, cls_token="[CLS]", sep_token="[SEP]", pad_token="[PAD]", unk_token="[PAD]"
-    ).save_pretrained(folder)
+    special = {"cls_token": "[CLS]", "sep_token": "[SEP]", "pad_token": "[PAD]", "unk_token": "[PAD]"}
+    transformers.PreTrainedTokenizerFast(tokenizer_object=word_tokenizer(names), **special).save_pretrained(
+        folder
+    )
     return model
 
 
@@ -241,12 +240,9 @@ def save_sam3_concepts(folder: Path, seed: int = 0) -> Any:
         vision_config={"backbone_config": SAM3_BACKBONE, "fpn_hidden_size": 32, "backbone_feature_sizes": SIZES},
         text_config={**TINY_TEXT, "model_type": "clip_text_model", "intermediate_size": 16, "projection_dim": 16,
                      "num_hidden_layers": 1, "max_position_embeddings": 32},
-        geometry_encoder_config={"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2,
-                                 "intermediate_size": 16},
-        detr_encoder_config=detr, detr_decoder_config={**detr, "num_queries": 6},
+        geometry_encoder_config=detr, detr_encoder_config=detr, detr_decoder_config={**detr, "num_queries": 6},
         mask_decoder_config={"hidden_size": 32, "num_attention_heads": 2},
     )  # fmt: skip
     model = lively(transformers.Sam3Model(config).eval())
-    model.save_pretrained(folder)
-    tiny_tokenizer(folder, TINY_WORDS)
+    tiny_tokenizer(saved(model, folder), TINY_WORDS)
     return model

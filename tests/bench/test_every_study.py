@@ -29,6 +29,7 @@ from benchmarks.things_truth import is_true
 
 from messages import refuses
 from scoup import raster
+from scoup.coding.exact import EFFORTS, ExactSettings
 from scoup_lab.bench import random_workload, usable_backends
 
 SMALL: dict[str, Any] = {"width": 30, "height": 20}
@@ -197,6 +198,8 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Gpu, "backend", "reference")
     monkeypatch.setattr(gpu, "LEAST_SECONDS", 0.0)
     monkeypatch.setattr(gpu, "answers_row", lambda device: {"device": device})  # tested below
+    for effort in EFFORTS:  # what codes are best does not matter here
+        monkeypatch.setitem(EFFORTS, effort, ExactSettings(steps=5, passes=1))
 
 
 @pytest.mark.filterwarnings("ignore:the near plane")  # random Gaussians lie in front of it

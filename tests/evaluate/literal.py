@@ -73,10 +73,17 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     return both / either if either else 1.0
 
 
+def chosen_level(smoothed: np.ndarray, masks: np.ndarray, choice: str) -> int:
+    """Step 4, the first of equals: by the maximum, or by the mean inside each level's own mask unless all are empty."""
+    if choice == "peak" or not masks.any():
+        return int(np.argmax([h.max() for h in smoothed]))
+    return int(np.argmax([h[m].mean() if m.any() else -np.inf for h, m in zip(smoothed, masks, strict=True)]))
+
+
 def lerf_ovs(levels, truth, boxes, kernel, border, threshold, smoothing, vote) -> tuple[float, int, bool]:
     """(IoU, level of the mask, hit)."""
     smoothed, found = masks(levels, kernel, border, threshold, smoothing, vote)
-    level = int(np.argmax([h.max() for h in smoothed]))
+    level = chosen_level(smoothed, found, "peak")
     averaged = [box(h.astype(np.float64), kernel, border) for h in levels]
     best = int(np.argmax([h.max() for h in averaged]))
     top = averaged[best].max()
@@ -92,10 +99,7 @@ def lerf_ovs(levels, truth, boxes, kernel, border, threshold, smoothing, vote) -
 def mask_mean_level(levels, truth, kernel, threshold, smoothing=7) -> tuple[float, int]:
     """(IoU, level) where the level with the highest mean relevancy inside its own mask answers."""
     smoothed, found = masks(levels, kernel, "inside", threshold, smoothing)
-    means = [h[m].mean() if m.any() else -np.inf for h, m in zip(smoothed, found, strict=True)]
-    if not any(m.any() for m in found):
-        means = [h.max() for h in smoothed]
-    level = int(np.argmax(means))
+    level = chosen_level(smoothed, found, "mask")
     return iou(found[level], truth), level
 
 

@@ -17,7 +17,7 @@ from scoup_lab.evaluate.demonstration_sheet import query_sheet
 from scoup_lab.synthetic import EMBEDDING_MODEL
 from view.view_samples import PAGE
 
-TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
+TINY = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2)
 SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6)
 
 
@@ -56,8 +56,7 @@ def test_without_its_page_the_demo_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scoup.view.viewer.page_files", lambda: page_files(tmp_path))
-    least = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2)
-    code, printed, err = run("demo", "--out", tmp_path / "demo", *least)
+    code, printed, err = run("demo", "--out", tmp_path / "demo", *TINY)
     assert (code, err) == (0, "")
     assert not (tmp_path / "demo" / "demo.html").exists()
     assert "tools/build_viewer.py" in printed

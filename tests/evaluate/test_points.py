@@ -84,12 +84,7 @@ def test_a_gaussian_takes_the_most_relevant_class_of_all_its_levels() -> None:
     codes = torch.tensor([[True, True, True, False], [True, True, False, False]])
     fitted, vectors, texts = known(2, relevancy, codes)
     assert label_gaussians(fitted, vectors, texts).tolist() == [1, 1, 0, NO_CLASS]
-    assert label_gaussians(fitted, vectors, texts, level=1).tolist() == [
-        0,
-        1,
-        NO_CLASS,
-        NO_CLASS,
-    ]
+    assert label_gaussians(fitted, vectors, texts, level=1).tolist() == [0, 1, NO_CLASS, NO_CLASS]
     with refuses():
         label_gaussians(fitted, vectors, texts, level=2)
 

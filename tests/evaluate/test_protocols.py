@@ -176,8 +176,8 @@ def test_masks_of_no_end_are_refused(tmp_path: Path, label: str | None) -> None:
     path = write_label(tmp_path / "f.json", objects, 5000, 5000)
     with refuses(FileFormatError):
         read_frame(path)
-    few = read_frame(write_label(tmp_path / "g.json", objects[:8], 5000, 5000))
-    assert len(few.masks) == (1 if label else 8)
+    few = read_frame(write_label(tmp_path / "g.json", objects[:20], 988, 731))  # as large as published ones
+    assert len(few.masks) == (1 if label else 20)
 
 
 def paint(path: Path, *rows: int, size: tuple[int, int] = (20, 30)) -> None:
@@ -239,20 +239,13 @@ def test_empty_masks() -> None:
         frame = LabelledFrame("00", 30, 20, {"lamp": truth[0, 0] > 0}, {})
         (pair,) = threed_ovs.PROTOCOL.score_frame(frame, maps)
         assert (pair.iou, pair.level) == (expected, 1)
-    for levels in (("s", "x", "l"), ("m", "l")):
-        with refuses():
-            threed_ovs.PROTOCOL.score_frame(frame, flat, levels=levels)
-
-
-def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None:
-    frames = threed_ovs.read_segmentations(write_scene(tmp_path))
-    maps = [torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1)]
-    scene = scored(threed_ovs.PROTOCOL, "sofa", zip(frames, maps, strict=True))
-    assert len(scene.pairs) == 6
-    assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 6)
+    scene = scored(threed_ovs.PROTOCOL, "sofa", [(frame, flat)])
     assert overall([scene]) == (scene.miou, None)
     with refuses():
         _ = scene.accuracy
+    for levels in (("s", "x", "l"), ("m", "l")):
+        with refuses():
+            threed_ovs.PROTOCOL.score_frame(frame, flat, levels=levels)
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {

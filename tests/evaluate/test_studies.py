@@ -51,7 +51,8 @@ from support import small_scene
 LABELS = ("cup", "pot")
 OTHER_WORDS = (*(f"word {number}" for number in range(30)), *CANONICAL_PHRASES)
 RULE = MASK_RULES["scoup"]
-SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3))
+QUICK = AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,))
+SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3), autoencoder=QUICK)
 
 
 def make_study_scene(seed: int, folder: Path) -> StudyScene:
@@ -188,8 +189,7 @@ def test_results_are_kept_until_something_changes(scenes: list[StudyScene], tmp_
     lines: list[str] = []
     autoencoder, given = recording(METHODS["autoencoder"])
     methods = [METHODS["centre-pixel"], autoencoder]
-    quick = AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,))
-    study = Comparison(methods, RULE, tmp_path, replace(SETTINGS, autoencoder=quick), True, lines.append)
+    study = Comparison(methods, RULE, tmp_path, SETTINGS, True, lines.append)
     stages: list[str] = []
     first = study.results(scenes[:1], lambda stage, *_: stages.append(stage))
     check_phrases(given, scenes[0])
@@ -199,9 +199,9 @@ def test_results_are_kept_until_something_changes(scenes: list[StudyScene], tmp_
     assert lines[1].startswith(f"scene 0, {title}: mIoU ")
     assert title in comparison_table(first, "").markdown()
     assert repr(study.results(scenes[:1])) == repr(first)  # NaN differs from itself
-    longer = replace(study.settings, autoencoder=replace(quick, epochs=3))
+    longer = replace(SETTINGS, autoencoder=replace(QUICK, epochs=3))
     assert [result.method for result in replace(study, settings=longer).results(scenes[:1])][1] != title
-    replace(study, settings=replace(study.settings, seed=1)).results(scenes[:1])
+    replace(study, settings=replace(SETTINGS, seed=1)).results(scenes[:1])
     replace(study, rule=MASK_RULES["langsplat"]).results(scenes[:1])
     moved = replace(scenes[0], vectors=replace(scenes[0].vectors, canonical=-scenes[0].vectors.canonical))
     study.results([moved])
@@ -246,8 +246,7 @@ def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
 
 
 def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:
-    quick = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
-    study = Consistency(SETTINGS.build, quick)
+    study = Consistency(SETTINGS.build, QUICK)
     report = study.report(study.results(scenes[:1]), PROTOCOL.title, {})
     assert report.record["matched_by"] == {"scene 0": "Gaussians"}
     check_report(report, tmp_path)

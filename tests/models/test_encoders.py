@@ -75,23 +75,15 @@ def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None
         with pytest.raises(ScoupError, match="table file"):
             TextEncoder.open(model)
     broken = shutil.copytree(clip_folder, tmp_path / "broken")
-    weights = broken / "model.safetensors"
-    tensors = load_file(weights)
+    tensors = load_file(broken / "model.safetensors")
     del tensors["text_projection.weight"]
-    save_file(tensors, weights, metadata={"format": "pt"})
+    save_file(tensors, broken / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(ScoupError, match="lacks weights"):  # which are not made up
         TextEncoder.open(broken)
-    for damage in (lambda: weights.write_bytes(weights.read_bytes()[:-100]), weights.unlink):
-        damage()
-        with pytest.raises(ScoupError, match="cannot be loaded"):
-            TextEncoder.open(broken)
     shutil.copytree(clip_folder, broken, dirs_exist_ok=True)
     told = broken / "tokenizer_config.json"
     told.write_text(json.dumps({**json.loads(told.read_text()), "pad_token": None}))
     with pytest.raises(ScoupError, match="encodes no words: its files are damaged"):
-        TextEncoder.open(broken)
-    (broken / "config.json").write_text("[" * 100_000)
-    with pytest.raises(ScoupError, match=r"its config\.json is damaged"):
         TextEncoder.open(broken)
     config = transformers.BertConfig(
         vocab_size=7, hidden_size=16, num_hidden_layers=1, num_attention_heads=2, intermediate_size=16
@@ -247,10 +239,6 @@ def test_tips_is_the_last_layer_with_its_values_in_place_of_attention(opened: di
     wanted = unit(vision.layernorm(torch.stack(mixed))).view(GRID, GRID, -1)
     tokens = opened["tips"].tokens(image)
     torch.testing.assert_close(tokens, wanted, atol=1e-5, rtol=1e-5)
-    shares = torch.zeros(1, GRID, GRID)
-    shares[0, 0, 0], shares[0, 3, 3] = 0.5, 1.0
-    mean = unit(0.5 * wanted[0, 0] + wanted[3, 3])
-    torch.testing.assert_close(opened["tips"].pool(tokens, shares)[0], mean, atol=1e-5, rtol=1e-5)
 
 
 @torch.inference_mode()

@@ -83,12 +83,8 @@ def test_missing_word_lists_the_nearest_names_and_the_file(tmp_path: Path) -> No
         WordTable.save(tmp_path / "named.npz", NAMES, VECTORS, model=model, overwrite=True)
         with refuses(UnknownNameError):
             TextEncoder.open(tmp_path / "named.npz").encode(["appel"])
-    for phrases in (
-        "apple",
-        [" "],
-        ["\udcff"],
-        [NAMES[0], "ab" * 1_000_000],
-    ):  # long texts are not repeated
+    # Long texts are not repeated.
+    for phrases in ("apple", [" "], ["\udcff"], [NAMES[0], "ab" * 1_000_000]):
         with refuses():
             encoder.encode(phrases)
     with pytest.raises(UnknownNameError) as unknown:

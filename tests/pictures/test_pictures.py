@@ -52,7 +52,7 @@ def test_every_picture_of_every_size(height: int, width: int):
     check(pictures.mask_overlay(values > 0.5, rgb, (0, 0, width, height), (0, 0), "mug", "IoU 0.9"))
     check(pictures.region_overlay((values * 7).astype(np.int32) - 1, rgb))
     assert pictures.code_picture(rng.random((height, width, 5))).shape == (height, width, 3)
-    check(pictures.contact_sheet([rgb, rgb], ["one", "two"], columns=2, width=400))
+    check(pictures.contact_sheet([rgb, rgb], ["one", "two"], columns=2, width=120))
 
 
 def test_heat_grows_lighter_all_the_way():
@@ -160,13 +160,13 @@ def test_answers_and_masks_are_outlined():
 
 
 def test_sizes_that_disagree_are_refused():
-    for draw, values in (
+    for draw, kind in (
         (pictures.heat_overlay, float),
         (pictures.mask_overlay, bool),
         (pictures.region_overlay, int),
     ):
         with refuses():
-            draw(np.zeros((3, 4), values), photo(4, 3))
+            draw(np.zeros((3, 4), kind), photo(4, 3))
     with refuses():
         pictures.answer_overlay(np.zeros((3, 4)), np.zeros((4, 3), bool), photo(3, 4), (0.5, 0.7))
     with refuses():
@@ -192,14 +192,8 @@ def test_text_is_broken_between_words():
     for text, shown in (("a b  c\nd", ["a b c d"]), ("", []), ("Töpfe, café", ["Topfe, cafe"])):
         assert lines_of(text, 500, 18)[0] == shown
     ground = np.zeros((10, 240, 3), np.uint8)
-    for text in (
-        "茶壶",
-        "чайник",
-        "\U0001f600",
-        "\ud800",
-        "\u202e",
-        "한국",
-    ):  # letters without a glyph are boxes
+    # Letters without a glyph are boxes.
+    for text in ("茶壶", "чайник", "\U0001f600", "\ud800", "\u202e", "한국"):
         lines, face = lines_of(text, 500, 18)
         assert text_width(lines[0], face) > 0
         assert (pictures.captioned(ground, text)[:-10] != pictures.captioned(ground, "")[:-10]).any()

@@ -25,7 +25,7 @@ from scoup.query.select import Reshaping
 from scoup.query.thing_judge import AskedThings, ThingIndex
 from scoup.query.thing_names import named_things
 from scoup.query.things import Place, Thing
-from scoup.query.view_answer import ViewAnswer, mask_box
+from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import level_thresholds, select_by_relevancy
 
 __all__ = [
@@ -57,7 +57,6 @@ __all__ = [
     "draw_things",
     "drawing",
     "level_thresholds",
-    "mask_box",
     "named_things",
     "parse_expression",
     "phrase_data",

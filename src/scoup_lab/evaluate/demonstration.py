@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean
 
 import torch
 
@@ -16,6 +14,7 @@ from scoup.query import LanguageField, Question, TextVectors, build
 from scoup.uplift import BuildSettings, FieldSources
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.metrics import any_inside, iou
+from scoup_lab.evaluate.pixel_report import query_records
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE
@@ -107,14 +106,14 @@ def answered(field: LanguageField, scene: DemoScene) -> SceneScore:
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
     """Return one row per name, best IoU first."""
-    rows = [
+    levels = result.field.levels
+    return [
         NameRow(
-            name,
-            len(pairs),
-            mean(pair.iou for pair in pairs),
-            mean(bool(pair.hit) for pair in pairs),
-            dict(Counter(result.field.levels[pair.level] for pair in pairs)),
+            of["query"],
+            of["frames"],
+            of["miou"],
+            of["accuracy"],
+            {levels[level]: count for level, count in of["levels"]},
         )
-        for name, pairs in result.score.by_label().items()
+        for of in reversed(query_records(result.score))
     ]
-    return sorted(rows, key=lambda row: -row.iou)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from statistics import mean
 
 from torch import Tensor
 
 from scoup.pictures import Picture, contact_sheet, heat_map, mask_overlay
 from scoup.query import LanguageField
 from scoup.raster import render_colors
+from scoup_lab.evaluate.pixel_report import query_records
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MaskRule
@@ -22,8 +22,8 @@ MOST = 6  # queries on a sheet
 def worst_pairs(score: SceneScore) -> list[PairScore]:
     """Return the worst answered pair of each of the worst queries (by mean IoU), worst query first; ties by name."""
     by_label = score.by_label()
-    ranked = sorted(by_label, key=lambda label: (mean(pair.iou for pair in by_label[label]), label))
-    return [min(by_label[label], key=lambda pair: (pair.iou, pair.frame)) for label in ranked[:MOST]]
+    ranked = [by_label[record["query"]] for record in query_records(score)[:MOST]]
+    return [min(pairs, key=lambda pair: (pair.iou, pair.frame)) for pairs in ranked]
 
 
 def failure_sheet(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from scoup.base import InputError
@@ -91,20 +91,24 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
 
 def miou_interval(scenes: Sequence[SceneScore]) -> Interval:
     """Return the mean over scenes, each counting alike; queries are drawn scene by scene."""
-    return _interval(scenes, lambda pair: pair.iou)
+    return pair_interval(scenes, (pair.iou for scene in scenes for pair in scene.pairs))
 
 
 def accuracy_interval(scenes: Sequence[SceneScore]) -> Interval | None:
     """Return the same of the localisation accuracy; None in protocols without it."""
     if not all(scene.localizes for scene in scenes):
         return None
-    return _interval(scenes, lambda pair: float(bool(pair.hit)))
+    return pair_interval(scenes, (float(bool(pair.hit)) for scene in scenes for pair in scene.pairs))
 
 
-def _interval(scenes: Sequence[SceneScore], value: Callable[[PairScore], float]) -> Interval:
-    pairs = [(scene.scene, pair) for scene in scenes for pair in scene.pairs]
-    return bootstrap_interval(
-        [value(pair) for _, pair in pairs],
-        [pair.label for _, pair in pairs],
-        scenes=[name for name, _ in pairs],
-    )
+def paired_difference(first: Sequence[SceneScore], second: Sequence[SceneScore]) -> Interval:
+    """Return mIoU of the first minus the second, over the same pairs of the same scenes in the same order."""
+    both = ((one.pairs, other.pairs) for one, other in zip(first, second, strict=True))
+    pairs = (pair for of_scene in both for pair in zip(*of_scene, strict=True))
+    return pair_interval(first, (one.iou - other.iou for one, other in pairs))
+
+
+def pair_interval(scenes: Sequence[SceneScore], values: Iterable[float]) -> Interval:
+    """Return the mean of a value of each pair of scenes, in order; scenes count alike, and queries are drawn."""
+    names = [(scene.scene, pair.label) for scene in scenes for pair in scene.pairs]
+    return bootstrap_interval(list(values), [label for _, label in names], scenes=[name for name, _ in names])

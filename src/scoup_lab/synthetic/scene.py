@@ -7,7 +7,7 @@ the method takes part in any of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,20 +83,26 @@ class DemoScene:
         A name is labelled where at least ``SMALLEST_LABEL`` pixels (scaled with the image) show it, with one box around
         all of them. A name of several things has a box around each connected piece of that size.
         """
-        height, width = self.part_maps[view_name].shape
-        least = SMALLEST_LABEL * (width / 480) ** 2
-        masks: dict[str, Tensor] = {}
-        boxes: dict[str, Tensor] = {}
-        for name in dict.fromkeys(name for level in levels for name in self.parts.names(level)):
-            mask = self.mask(view_name, name)
-            if int(mask.sum()) >= least:
-                masks[name] = mask
-                corners = piece_boxes(mask.numpy(), least) if name in self.parts.several else []
-                # Corners of a label's box are pixels inside it.
-                rows, columns = (torch.stack(axis.aminmax()).tolist() for axis in mask.nonzero(as_tuple=True))
-                corners = corners or [(columns[0], rows[0], columns[1], rows[1])]
-                boxes[name] = torch.tensor(corners, dtype=torch.float32)
-        return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, masks, boxes)
+        names = dict.fromkeys(name for level in levels for name in self.parts.names(level))
+        masks = {name: self.mask(view_name, name) for name in names}
+        return frame_of_masks(view_name, masks, self.parts.several)
+
+
+def frame_of_masks(
+    view_name: str, masks: Mapping[str, Tensor], several: Container[str] = ()
+) -> LabelledFrame:
+    """Return the masks [H, W] of a view as labels, with their boxes (``DemoScene.labelled_frame``)."""
+    height, width = next(iter(masks.values())).shape
+    least = SMALLEST_LABEL * (width / 480) ** 2
+    shown = {name: mask for name, mask in masks.items() if int(mask.sum()) >= least}
+    boxes: dict[str, Tensor] = {}
+    for name, mask in shown.items():
+        corners = piece_boxes(mask.numpy(), least) if name in several else []
+        # Corners of a label's box are pixels inside it.
+        rows, columns = (torch.stack(axis.aminmax()).tolist() for axis in mask.nonzero(as_tuple=True))
+        corners = corners or [(columns[0], rows[0], columns[1], rows[1])]
+        boxes[name] = torch.tensor(corners, dtype=torch.float32)
+    return LabelledFrame(view_name.rsplit(".", 1)[0], width, height, shown, boxes)
 
 
 def make_demo_scene(

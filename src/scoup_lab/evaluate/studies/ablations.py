@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import mean
 from typing import Any, ClassVar
@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 from scoup.base import Progress, no_progress
 from scoup.uplift import BuildSettings
 from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.metrics import Interval
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
-from scoup_lab.evaluate.scores import SceneScore, pair_names, rounded_ious
+from scoup_lab.evaluate.scores import PairScore, SceneScore, pair_interval, pair_names, rounded_ious
 from scoup_lab.evaluate.studies.ablation_rows import Ablation
 from scoup_lab.evaluate.studies.study import Study
 from scoup_lab.evaluate.studies.study_scene import StudyScene
@@ -28,28 +28,27 @@ class AblationResult:
     ablation: Ablation
     scores: dict[int, list[SceneScore]]  # by seed, of each scene
 
-    def pair_means(self) -> tuple[list[float], list[float], list[str], list[str]]:
-        """Return IoU and hit of each pair as means over seeds (hits empty without localisation), queries and scenes."""
-        runs = [[pair for scene in of_seed for pair in scene.pairs] for of_seed in self.scores.values()]
-        first = next(iter(self.scores.values()))
-        ious = [mean(pair.iou for pair in of_pair) for of_pair in zip(*runs, strict=True)]
-        localizes = all(scene.localizes for scene in first)
-        hits = (
-            [mean(bool(p.hit) for p in of_pair) for of_pair in zip(*runs, strict=True)] if localizes else []
-        )
-        groups = [pair.label for scene in first for pair in scene.pairs]
-        kinds = [scene.scene for scene in first for _ in scene.pairs]
-        return ious, hits, groups, kinds
+    @property
+    def scenes(self) -> list[SceneScore]:
+        """The scenes of the first seed."""
+        return next(iter(self.scores.values()))
+
+    def means(self, value: Callable[[PairScore], float] = lambda pair: pair.iou) -> list[float]:
+        """Return a value of each pair, its IoU by default, as means over seeds."""
+        runs = [
+            [value(pair) for scene in of_seed for pair in scene.pairs] for of_seed in self.scores.values()
+        ]
+        return [mean(of_pair) for of_pair in zip(*runs, strict=True)]
 
     def interval(self) -> Interval:
         """Return mIoU, each scene counting alike."""
-        ious, _, groups, kinds = self.pair_means()
-        return bootstrap_interval(ious, groups, scenes=kinds)
+        return pair_interval(self.scenes, self.means())
 
     def accuracy(self) -> float | None:
-        """Return the accuracy of localisation."""
-        _, hits, groups, kinds = self.pair_means()
-        return bootstrap_interval(hits, groups, scenes=kinds).mean if hits else None
+        """Return the accuracy of localisation; None in protocols without it."""
+        if not all(scene.localizes for scene in self.scenes):
+            return None
+        return pair_interval(self.scenes, self.means(lambda pair: bool(pair.hit))).mean
 
     def by_seed(self) -> list[float]:
         """Return mIoU of each seed."""
@@ -88,7 +87,7 @@ class Ablations(Study[AblationResult]):
         return [AblationResult(row, scores[row.name]) for row in self.rows]
 
     def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
-        pairs = pair_names(next(iter(results[0].scores.values())))
+        pairs = pair_names(results[0].scenes)
         record = {"protocol": protocol, **described, "pairs": pairs, "rows": ablation_record(results)}
         return Report(self.stem, "Ablations", [ablation_table(results, protocol)], record)
 
@@ -125,9 +124,8 @@ def ablation_table(results: Sequence[AblationResult], protocol: str) -> Table:
 
 def difference(result: AblationResult, base: AblationResult) -> Interval:
     """Return mIoU of a row minus that of the base, paired over queries."""
-    ious, _, groups, kinds = result.pair_means()
-    others = base.pair_means()[0]
-    return bootstrap_interval([a - b for a, b in zip(ious, others, strict=True)], groups, scenes=kinds)
+    both = zip(result.means(), base.means(), strict=True)
+    return pair_interval(result.scenes, (one - other for one, other in both))
 
 
 def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
@@ -138,7 +136,7 @@ def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:
         interval, minus_base = result.interval(), difference(result, base)
         record[result.ablation.name] = {
             "group": result.ablation.group,
-            "iou": rounded_ious(result.pair_means()[0]),
+            "iou": rounded_ious(result.means()),
             "minus_base": [minus_base.mean, *minus_base.ends],
             "miou": interval.mean,
             "miou_interval": interval.ends,

@@ -19,7 +19,6 @@ from scoup.base import VERSION, Progress, no_progress, write_text
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.evaluation import Say, say_nothing
-from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import (
@@ -29,6 +28,7 @@ from scoup_lab.evaluate.scores import (
     miou_interval,
     overall,
     pair_names,
+    paired_difference,
     rounded_ious,
 )
 from scoup_lab.evaluate.studies.study import Study
@@ -218,17 +218,6 @@ def selection_table(results: Sequence[MethodResult], title: str) -> Table | None
         return None
     note = "Another protocol than the 2D ones: never set the two side by side."
     return Table(title, ("method", "mIoU", "95 % interval"), tuple(rows), (note,))
-
-
-def paired_difference(first: Sequence[SceneScore], second: Sequence[SceneScore]) -> Interval:
-    """Return mIoU of the first minus the second, over the same pairs of the same scenes in the same order."""
-    differences, groups, kinds = [], [], []
-    for a, b in zip(first, second, strict=True):
-        for one, other in zip(a.pairs, b.pairs, strict=True):
-            differences.append(one.iou - other.iou)
-            groups.append(one.label)
-            kinds.append(a.scene)
-    return bootstrap_interval(differences, groups, scenes=kinds)
 
 
 def by_method(results: Sequence[MethodResult]) -> dict[str, list[MethodResult]]:
