@@ -86,7 +86,8 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
             part = parts[camera.name]
             assert matrix.shape == (len(gaussians), len(rows))
             chosen = labels[level] == torch.arange(part.stop - part.start)[:, None, None]
-            tiled = reference.to_tiles(chosen.float(), projection.bins, fill=0)
+            tiles = (reference.to_tiles(region, projection.bins, fill=0) for region in chosen.float())
+            tiled = torch.stack([*tiles], 1)
             painted = torch.zeros(len(gaussians), len(chosen))
             for tile, ids, weights in reference.tile_weights(projection):
                 painted[ids] += weights @ tiled[tile].T
