@@ -1,6 +1,6 @@
 """Small files of our own formats as they will be released, with the answers that the code which wrote them gave.
 
-    python tests/frozen_formats.py FOLDER    # writes them
+    PYTHONPATH=. python tests/frozen_formats.py FOLDER    # writes them
 
 ``tests/frozen/formats`` was written so. Write it again only with a new version of a format, and keep the files of a
 released version beside it. Nothing here is random, but processors may differ in the last bits.

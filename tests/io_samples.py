@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
+from tests.support import random_gaussians
 
 from scoup.base import WorldFrame
 from scoup.io import RegionManifest, ViewRegions
@@ -29,7 +30,6 @@ from scoup.scene import (
     quats_of_rotations,
     rotation_matrices,
 )
-from support import random_gaussians
 
 MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
 TURNED = np.array([[0, -2.0, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])

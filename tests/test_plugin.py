@@ -59,6 +59,6 @@ def test_a_package_is_used_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         wheel.extractall(tmp_path / "site")
     write_scene(tmp_path / "scene")
     (tmp_path / "words.npz.bak").touch()
-    places = os.pathsep.join([str(tmp_path / "site"), str(Path(__file__).parent)])
+    places = os.pathsep.join(map(str, [tmp_path / "site", *Path(__file__).parents[:2]]))
     environment = {**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1"}
     finished([sys.executable, "-c", PROGRAM], check=True, cwd=tmp_path, env=environment)
