@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from scoup.base import InputError, WorldFrame, check_output
+from scoup.base import InputError, SealedFile, WorldFrame, check_output
 from scoup.field.checks import MOST_THINGS
 from scoup.field.container import (
     SCHEMA,
@@ -16,7 +16,6 @@ from scoup.field.container import (
     place_of,
     read_content,
     relative_place,
-    write_content,
 )
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import NO_THING, TENSORS, NameTable, ThingTable
@@ -67,7 +66,7 @@ def write_field(field: Field, path: Path, overwrite: bool, embed_geometry: bool,
         **({} if names is None else {"names": list(names.texts)}),
         **info.world.entry(),
     }
-    write_content(path, header, arrays, overwrite)
+    SealedFile.write(path, header, arrays, overwrite)
 
 
 def read_field(path: Path) -> tuple[dict[str, Any], Gaussians | None]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +14,6 @@ from scoup.base import (
     FileFormatError,
     SealedFile,
     WorldFrame,
-    WriteError,
-    atomic_path,
     check_format_version,
     invalid_contents,
 )
@@ -50,37 +46,6 @@ def read_content(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return header, arrays
 
 
-def write_content(
-    path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], overwrite: bool
-) -> None:
-    """Write a ``.scoup`` file, atomically.
-
-    Raises:
-        OutputExistsError: the file is there and ``overwrite`` is false.
-        WriteError: the system refuses.
-    """
-    from safetensors import SafetensorError
-    from safetensors.numpy import save_file
-
-    # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = SealedFile.metadata(header, arrays)
-    with atomic_path(path, overwrite) as temporary:
-        try:
-            temporary.touch()
-            permissions = temporary.stat().st_mode  # as of any new file; safetensors makes private ones
-            save_file({**arrays}, temporary, metadata)
-            temporary.chmod(permissions)
-        except OSError as error:
-            raise WriteError.of(temporary, error) from error
-        except SafetensorError as error:
-            # Only the text contains the system's own number: "(os error 28)", or "code: 28" in older versions.
-            number = re.search(r"(?:os error|code:) (\d+)", str(error))
-            if number is None:
-                raise
-            code = int(number[1])
-            raise WriteError.of(temporary, OSError(code, os.strerror(code))) from error
-
-
 def write_world(path: Path, world: WorldFrame) -> None:
     """Write a frame of the world into the file of a field; all tensors keep their bytes.
 
@@ -90,7 +55,7 @@ def write_world(path: Path, world: WorldFrame) -> None:
     header, arrays = read_content(path)
     for name in ("checksum", "checksums", "frame"):
         header.pop(name, None)
-    write_content(path, header | world.entry(), arrays, overwrite=True)
+    SealedFile.write(path, header | world.entry(), arrays, overwrite=True)
 
 
 def relative_place(path: Path, target: Path | None) -> str | None:

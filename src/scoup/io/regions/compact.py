@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base import FileFormatError, JsonNode, SealedFile, atomic_file, check_format_version
+from scoup.base import FileFormatError, JsonNode, SealedFile, check_format_version
 from scoup.io.image_folder import EXTENSIONS
 from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.manifest import SCHEMA, VERSION
@@ -109,8 +109,6 @@ def open_view(folder: Path, stem: str) -> CompactView:
 
 def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
     """Write a view atomically, embeddings as they are (float16 or float32), under a manifest of this fingerprint."""
-    from safetensors.numpy import save
-
     levels = list(regions.labels)
     height, width = regions.labels[levels[0]].shape
     tensors: dict[str, np.ndarray] = {}
@@ -131,8 +129,7 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
         "manifest": manifest,
         "photograph": regions.photograph,
     }
-    with atomic_file(folder / f"{stem}{ENDINGS[0]}", overwrite) as stream:
-        stream.write(save(tensors, SealedFile.metadata(header, tensors)))
+    SealedFile.write(folder / f"{stem}{ENDINGS[0]}", header, tensors, overwrite)
 
 
 def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from scoup.base import FileFormatError, SealedFile, atomic_file, slug
+from scoup.base import FileFormatError, SealedFile, slug
 
 ENDING = ".safetensors"
 SCENE = "scene"  # stem of the file that is not a view
@@ -47,13 +47,8 @@ def write_arrays(
     wait: bool = False,
 ) -> int:
     """Write a file whole, without flushing it; return its size. Arguments and errors as of ``atomic_file``."""
-    from safetensors.numpy import save
-
-    content = save({**arrays}, SealedFile.metadata(header, arrays))
     # Not flushed one by one: the folder is (``RegionSums.flush``), and checksums detect the rest.
-    with atomic_file(path, overwrite, flush=False, wait=wait) as stream:
-        stream.write(content)
-    return len(content)
+    return SealedFile.write(path, header, arrays, overwrite, flush=False, wait=wait)
 
 
 def read_arrays(path: Path, written: bool = False) -> StoredArrays:
