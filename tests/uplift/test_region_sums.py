@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save
 from tests.fuzzing.containers import SAFETENSORS, SEALED
 
 import scoup
@@ -208,7 +208,8 @@ def test_a_flipped_bit_is_refused_with_the_name_of_the_file(path, file):
 def test_what_is_something_else_is_refused(path):
     first = path / view_file("view_00.png")
     others = (path / view_file("view_01.png")).read_bytes()
-    for other in (b"a picture, or the like" * 9, b"", others):
+    foreign = save({"weights": np.ones(3)}, {"made by": "another program"})
+    for other in (b"a picture, or the like" * 9, b"", others, foreign):
         first.write_bytes(other)
         with refuses(FileFormatError):
             RegionSums.open(path)

@@ -57,7 +57,7 @@ def read_arrays(path: Path, written: bool = False) -> StoredArrays:
     with SealedFile.open(path, _WHAT, _REMEDY, "check the path", "pt") as file:
         header = json.loads(file.text)
         if "checksums" not in header:
-            raise FileFormatError(path, f"is not {_WHAT}", "check the path")
+            raise FileFormatError(path, f"is not {_WHAT}", "check the path, or make the region sums again")
         arrays = {name: file.stream.get_tensor(name).numpy() for name in file.stream.keys()}  # noqa: SIM118
         if not written:
             file.check(header, arrays)
