@@ -20,13 +20,13 @@ from cli_support import run
 from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
 from messages import refuses
 from scoup.archive import Archive
-from scoup.base import FileFormatError
+from scoup.base import FileFormatError, SealedFile
 from scoup.base.errors import FieldVersionError
 from scoup.base.sealed_file import KEY as METADATA_KEY
 from scoup.io import PlyTable
 from scoup.query import LanguageField
 from scoup.uplift import RegionSums
-from scoup.uplift.storage.array_file import read_arrays, write_arrays
+from scoup.uplift.storage.array_file import read_arrays
 from scoup.uplift.stored_sums import VERSION
 
 FIELDS = sorted(FORMATS.glob("*.scoup"))
@@ -136,6 +136,6 @@ def test_versions_of_sums_that_are_not_known_are_refused(tmp_path: Path, version
     path = Path(shutil.copytree(FORMATS / "sums", tmp_path / "a.sums"))
     stored = read_arrays(path / "scene.safetensors")
     header = {**stored.header, "version": version}
-    write_arrays(path / "scene.safetensors", header, stored.arrays, overwrite=True)
+    SealedFile.write(path / "scene.safetensors", header, stored.arrays, overwrite=True)
     with refuses(FieldVersionError if version == VERSION + 1 else FileFormatError):
         RegionSums.open(path)

@@ -21,12 +21,12 @@ from cli_support import snapshot
 from messages import refuses
 from raster.parity import needs_native
 from scoup import raster
-from scoup.base import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError, SealedFile
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.scene import SparseCodes
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.storage import entries
-from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
+from scoup.uplift.storage.array_file import read_arrays, view_file
 from scoup.uplift.stored_sums import RegionSums
 from support import small_scene
 
@@ -246,7 +246,7 @@ def changed(path: Path, change: Callable[[Arrays], object]) -> Path:
     stored = read_arrays(file)
     arrays = {name: array.copy() for name, array in stored.arrays.items()}
     change(arrays)
-    write_arrays(file, stored.header, arrays, overwrite=True)
+    SealedFile.write(file, stored.header, arrays, overwrite=True)
     return path
 
 

@@ -67,8 +67,6 @@ class SealedFile:
 
         Writers of safetensors would copy all arrays, and hide the number of the system's errors.
         """
-        import numpy as np
-
         checksums = {name: array_checksum(array) for name, array in arrays.items()}
         layout: dict[str, Any] = {"__metadata__": {KEY: sealed({**header, "checksums": checksums})}}
         # Larger items first, as in the library: then each array begins at a multiple of its item size.
@@ -86,7 +84,7 @@ class SealedFile:
         with atomic_file(path, overwrite, flush, wait) as stream:
             stream.write(len(head).to_bytes(8, "little") + head)
             for name in names:
-                stream.write(np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data)
+                stream.write(_bytes_of(arrays[name]))
         return 8 + len(head) + end
 
     def check(self, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -111,11 +109,14 @@ class SealedFile:
 def array_checksum(array: NDArray[Any]) -> str:
     """Return the CRC-32, the fastest checksum of the standard library, over type, shape and bytes of an array, as eight
     hexadecimal digits."""
+    described = f"{array.dtype} {list(array.shape)}\n".encode()
+    return f"{zlib.crc32(_bytes_of(array), zlib.crc32(described)):08x}"
+
+
+def _bytes_of(array: NDArray[Any]) -> memoryview:
     import numpy as np
 
-    described = f"{array.dtype} {list(array.shape)}\n".encode()
-    content = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
-    return f"{zlib.crc32(content, zlib.crc32(described)):08x}"
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
 def sealed(header: Mapping[str, Any]) -> str:

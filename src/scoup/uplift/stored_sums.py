@@ -23,6 +23,7 @@ from scoup.base import (
     MissingFileError,
     OutputExistsError,
     ScoupWarning,
+    SealedFile,
     WriteError,
     check_format_version,
     flush_to_disk,
@@ -38,7 +39,6 @@ from scoup.uplift.storage.array_file import (
     read_arrays,
     stored_files,
     view_file,
-    write_arrays,
 )
 from scoup.uplift.storage.entries import BUCKET, Packer, ViewRecord
 
@@ -253,7 +253,8 @@ class RegionSums:
         if not self.bytes:
             self._make_folder(self.path)
         file = self.path / view_file(view_name)
-        write_arrays(file, header, view.arrays(), overwrite=True, wait=True)
+        # Not flushed one by one: the folder is (``flush``), and checksums detect the rest.
+        SealedFile.write(file, header, view.arrays(), overwrite=True, flush=False, wait=True)
         self._unflushed.append(file)
         self._load(file, written=True)
 
@@ -327,7 +328,7 @@ class RegionSums:
             arrays["means"] = self.means.contiguous().numpy()
         try:
             path.mkdir(parents=True, exist_ok=True)
-            self.bytes = write_arrays(scene, header, arrays, overwrite=False, wait=True)
+            self.bytes = SealedFile.write(scene, header, arrays, flush=False, wait=True)
             self._unflushed.append(scene)
         except OutputExistsError:
             stored = read_arrays(scene)

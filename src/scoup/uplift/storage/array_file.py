@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,18 +36,6 @@ class StoredArrays:
     header: dict[str, Any]
     arrays: dict[str, NDArray[Any]]  # backed by the file, or in memory
     bytes: int  # of the file
-
-
-def write_arrays(
-    path: Path,
-    header: Mapping[str, Any],
-    arrays: Mapping[str, NDArray[Any]],
-    overwrite: bool,
-    wait: bool = False,
-) -> int:
-    """Write a file whole, without flushing it; return its size. Arguments and errors as of ``atomic_file``."""
-    # Not flushed one by one: the folder is (``RegionSums.flush``), and checksums detect the rest.
-    return SealedFile.write(path, header, arrays, overwrite, flush=False, wait=wait)
 
 
 def read_arrays(path: Path, written: bool = False) -> StoredArrays:
